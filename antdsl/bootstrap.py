@@ -44,7 +44,7 @@ VENV = "python3-venv"
 
 
 def missing_packages(libraries: Mapping[str, str]) -> list[str]:
-    """Debian packages whose shared library cannot be loaded here (Linux only)."""
+    """Return the Debian packages of shared libraries that cannot be loaded here (Linux only)."""
     if not sys.platform.startswith("linux"):
         return []
     missing = []
@@ -57,7 +57,7 @@ def missing_packages(libraries: Mapping[str, str]) -> list[str]:
 
 
 def install_system_packages() -> None:
-    """Install what Open3D needs from the system, where this user may; else say which command does it, and stop."""
+    """Install the system packages that Open3D needs, if this user may; else print the command for it, and stop."""
     packages = missing_packages(SYSTEM_LIBRARIES)
     if not packages:
         return
@@ -68,7 +68,7 @@ def install_system_packages() -> None:
 
 
 def install_browser() -> None:
-    """Install Chromium for the tests of the preview's page, on Debian, where this user may. Elsewhere those tests are skipped."""
+    """Install Chromium for the tests of the preview's page, on Debian, if this user may. Elsewhere those tests are skipped."""
     packages = missing_packages(DRIVER_LIBRARIES)
     if not any(shutil.which(name) for name in BROWSERS):
         packages.insert(0, BROWSERS[0])
@@ -86,7 +86,8 @@ def install_browser() -> None:
 
 
 def install_test_programs() -> None:
-    """Install what tests start, where this user may. Elsewhere those tests fail: they hold what others rely on."""
+    """Install the programs that tests start, if this user may. Elsewhere those tests fail and are not skipped, because users rely
+    on what they check."""
     packages = [package for name, package in TEST_PROGRAMS.items() if not shutil.which(name)]
     if not packages or not sys.platform.startswith("linux"):
         return
@@ -98,7 +99,7 @@ def install_test_programs() -> None:
 
 
 def debian() -> bool:
-    """Whether this is Debian itself: packages of that name elsewhere only point at another way to install."""
+    """Return whether this is Debian itself: elsewhere, packages of the same name only point to another way to install."""
     try:
         return "ID=debian" in Path("/etc/os-release").read_text(encoding="utf-8").split()
     except OSError:
@@ -120,7 +121,7 @@ def install(packages: list[str]) -> None:
 
 
 def ensure_environment(folder: Path, requirements: list[str]) -> Path:
-    """Make the virtual environment once, again when pyproject.toml changed; give its python."""
+    """Create the virtual environment, again only if pyproject.toml changed; return the path of its Python."""
     python = folder / ("Scripts/python.exe" if os.name == "nt" else "bin/python")
     wanted = hashlib.sha256((ROOT / "pyproject.toml").read_bytes() + repr(requirements).encode()).hexdigest()
     stamp = folder / "antdsl-installed"
@@ -135,7 +136,7 @@ def ensure_environment(folder: Path, requirements: list[str]) -> Path:
         sys.exit(f"no virtual environment could be made; on Debian or Ubuntu, run as root:\n  {INSTALL} {VENV}")
     pip = [str(python), "-m", "pip", "--disable-pip-version-check", "install", "--quiet"]
     subprocess.run([*pip, "--editable", f"{ROOT}[test,quality]", *requirements], check=True)
-    # An editable install compiles nothing, and where no bytecode may be written every command would compile it all anew.
+    # An editable install compiles nothing. Where no bytecode may be written, every command would compile all modules again.
     subprocess.run([str(python), "-m", "compileall", "-q", str(ROOT / "antdsl")], check=False)
     # Installing has compiled the kernels with the LLVM of the build environment: nothing is left to do if it is the same here.
     subprocess.run([str(python), "-P", "-m", "antdsl.machine_code.build_objects", "--host"], check=False)
@@ -144,7 +145,7 @@ def ensure_environment(folder: Path, requirements: list[str]) -> Path:
 
 
 def run_example(python: Path, out: Path) -> int:
-    """The main job on an example: simulate foraging, then a still and a contact sheet of it."""
+    """Run the main task on an example: simulate foraging, then make a still and a contact sheet."""
     scene = ROOT / "examples" / "foraging" / "scene.yaml"
     antdsl = [str(python), "-P", "-m", "antdsl"]
     for command in ([*antdsl, "run", str(scene), "--out", str(out)], [*antdsl, "render", str(out), "--sheet"]):
@@ -156,7 +157,7 @@ def run_example(python: Path, out: Path) -> int:
 
 
 def run_tests(python: Path, quick: bool, arguments: list[str]) -> int:
-    """The test suite as CI runs it, in as many processes as there are cores, each file in one; or the quick part of it in one."""
+    """Run the test suite as in CI, with one process per core and each file in one process; or the quick part in one process."""
     files = [path.relative_to(ROOT).as_posix() for pattern in QUICK for path in sorted(ROOT.glob(pattern))] if quick else []
     # The quick part is over before more processes have imported what they need.
     parallel = [] if quick else ["-n", "auto", "--dist", "loadfile", "--no-loadscope-reorder"]
@@ -164,7 +165,8 @@ def run_tests(python: Path, quick: bool, arguments: list[str]) -> int:
 
 
 def run_gate(python: Path) -> int:
-    """Linter and formatter of all Python, types of the package; those of the page where node and its packages are."""
+    """Run linter and formatter on all Python and type checks on the package; also those of the page if node and its packages are
+    installed."""
     tools = [[str(python), "-m", *words.split()] for words in ("ruff check .", "ruff format --check .", "mypy")]
     codes = [subprocess.run(tool, cwd=ROOT).returncode for tool in tools]
     page = ROOT / "antdsl" / "preview" / "web"
@@ -183,7 +185,7 @@ def main() -> int:
     parser.add_argument("--require", action="append", default=[], help="a further requirement, such as open3d-cpu==0.18.0")
     parser.add_argument("--quick", action="store_true", help="only the tests that take a minute; they need no browser")
     arguments, rest = parser.parse_known_args()
-    if sys.version_info < (3, 11):  # noqa: UP036 - whoever starts this may have any Python
+    if sys.version_info < (3, 11):  # noqa: UP036 - any Python may run this script
         sys.exit("antdsl needs Python 3.11 or newer")
     if (rest or arguments.quick) and arguments.job != "test":
         parser.error(f"unknown: {' '.join(rest or ['--quick'])}")

@@ -1,5 +1,5 @@
-"""Bounded reads: the one way in which a file that a person can name is opened. Only regular files, never waiting, at most so many
-bytes."""
+"""Bounded reads: the only way in which files named by a user are opened. Only regular files, without waiting, and up to a given
+number of bytes."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ Name = str | os.PathLike[str]
 
 
 class NotRegular(OSError):
-    """A folder, a pipe, a socket or a device; the text says which, in words that fit after the file's name and `is`."""
+    """A folder, a pipe, a socket or a device. The message names which; it fits after the file's name and `is`."""
 
     def __init__(self, kind: str) -> None:
         super().__init__(errno.EINVAL, f"it is {kind}")
@@ -37,16 +37,16 @@ class TooLarge(OSError):
 
 
 def real_path(path: Name) -> Path:
-    """A path with all its links followed. Never raises: of a link that leads to itself, as far as it can be followed."""
+    """Return a path with all links resolved. Never raises: a link to itself is resolved as far as possible."""
     return Path(os.path.realpath(path))
 
 
 def open_regular(path: Name, *, follow: bool = True, folder: int | None = None) -> int:
-    """A handle on a regular file, to be closed by the caller. `follow`: a link at the end of the path is followed; `folder`: an
-    open one that the path is relative to. NotRegular, or another OSError, says why not.
+    """Return a handle on a regular file, to be closed by the caller. `follow`: follow a link at the end of the path. `folder`: an
+    open folder that the path is relative to. Raises NotRegular or another OSError.
 
-    What is no regular file is not even opened: that alone can wake who writes into a pipe, or start a device. Where another takes
-    its place in between, O_NONBLOCK keeps the opening from waiting, and the handle is asked again."""
+    A file that is not regular is not even opened: opening alone can wake the writer of a pipe, or start a device. If another file
+    takes its place in between, O_NONBLOCK prevents waiting, and the type of the handle is checked again."""
     below = {"dir_fd": folder} if folder is not None and _LEVELS_BELOW else {}
     try:
         _demand_regular(os.stat(path, follow_symlinks=follow, **below))
@@ -77,8 +77,8 @@ def size_of(handle: int, cap: int) -> int:
 
 
 def blocks(handle: int, cap: int) -> Iterator[bytes]:
-    """What is in an open file, block by block; TooLarge above `cap` bytes, before anything is read or, of a file that grows
-    meanwhile, as soon as it is known. The handle stays open."""
+    """Yield the contents of an open file in blocks. Raises TooLarge above `cap` bytes: before any read, or as soon as a growing
+    file passes it. The handle stays open."""
     size_of(handle, cap)
     left = cap + 1
     while part := os.read(handle, min(left, _BLOCK)):
@@ -89,7 +89,7 @@ def blocks(handle: int, cap: int) -> Iterator[bytes]:
 
 
 def read_handle(handle: int, cap: int) -> bytes:
-    """All of an open file, which is closed; TooLarge above `cap` bytes."""
+    """Read all of an open file and close it; raise TooLarge above `cap` bytes."""
     try:
         return b"".join(blocks(handle, cap))
     finally:
@@ -97,12 +97,12 @@ def read_handle(handle: int, cap: int) -> bytes:
 
 
 def read_bounded(path: Name, cap: int, *, follow: bool = True) -> bytes:
-    """All of a regular file; NotRegular, TooLarge or another OSError says why not. `follow` as in `open_regular`."""
+    """Return all of a regular file. Raises NotRegular, TooLarge or another OSError. `follow` as in `open_regular`."""
     return read_handle(open_regular(path, follow=follow), cap)
 
 
 def read_start(path: Name, count: int) -> bytes:
-    """The first bytes of a regular file, at most `count`; links are followed. OSError where there is none."""
+    """Read the first bytes of a regular file, at most `count`; links are followed. Raises OSError if there is none."""
     handle = open_regular(path)
     try:
         return os.read(handle, count)
@@ -111,7 +111,7 @@ def read_start(path: Name, count: int) -> bytes:
 
 
 def open_bounded(path: Name, cap: int, *, follow: bool = True) -> IO[bytes]:
-    """A regular file of at most `cap` bytes, to be read here and there; OSError says why not. `follow` as in `open_regular`."""
+    """Open a regular file of at most `cap` bytes for random access. Raises OSError. `follow` as in `open_regular`."""
     handle = open_regular(path, follow=follow)
     try:
         size_of(handle, cap)

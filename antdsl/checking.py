@@ -1,4 +1,5 @@
-"""Checks many files, on all cores where the system can share out what is loaded; what is found is the same as one by one."""
+"""Checks many files, on all cores where the system can fork processes that share loaded modules; results equal those of checking
+one by one."""
 
 from __future__ import annotations
 
@@ -32,8 +33,7 @@ MOST_GROUPS = 256  # that a byte can name; what is beyond is checked in the end
 
 @dataclass(slots=True)
 class Checked:
-    """What was found in files: a report each, in their order, the texts that were looked at, and the programs, where they were
-    asked for."""
+    """Results of checking files: a report for each in their order, the texts that were read, and the programs, if requested."""
 
     reports: dict[Path, Report] = field(default_factory=dict)
     sources: list[Source] = field(default_factory=list)
@@ -56,8 +56,8 @@ def check_all(
     programs: bool = False,
     cpu_seconds: float = 0.0,
 ) -> Checked:
-    """Check each file as `check_path` does, on so many cores. With `programs` they are given too, which takes one process. A file
-    that takes more than `cpu_seconds` of processor time is reported; 0 is no limit."""
+    """Check each file as `check_path` does, on `cores` cores. `programs` also returns the programs, which requires one process. A
+    file that takes more than `cpu_seconds` of processor time is reported; 0 is no limit."""
     result = Checked(cpu_seconds=cpu_seconds)
     groups = _groups(files)
     parsed = CheckedOnce()
@@ -73,7 +73,7 @@ def check_all(
 
 
 def check_text(data: bytes, choices: Choices, *, strict: bool = False, cpu_seconds: float = 0.0) -> Checked:
-    """Check one program that is not in a file. What it uses is found from the working directory."""
+    """Check one program that is not in a file. Its imports are resolved from the working directory."""
     path, parsed, result = Path("<stdin>.ant"), CheckedOnce(), Checked(cpu_seconds=cpu_seconds)
     source, report = syntax.read_bytes("<stdin>", data)
     if source is None:
@@ -91,7 +91,7 @@ def _share(groups: list[list[Path]], choices: Choices, strict: bool, cores: int,
     # The first is checked before the others are shared out: all that is imported and the library are then there once.
     _check(groups[0], choices, strict, parsed, result)
     gc.freeze()  # so that no process copies what it has not changed, only to look for garbage in it
-    # Whoever is ready takes the next group, the heaviest first: one byte of a pipe is the right to one group.
+    # A process that is ready takes the next group, the heaviest first: one byte of a pipe is the right to one group.
     groups = groups[:0:-1][:MOST_GROUPS]
     mine, theirs = os.pipe()
     os.write(theirs, bytes(range(len(groups))))
@@ -132,7 +132,7 @@ def _check(
 
 
 def _overdue(file: Path, seconds: float, spent: CpuBudgetSpent) -> Report:
-    """What is said of a file that took too long: its place, and the part of the check that was at work."""
+    """Return the report of a file that took too long: its place, and the stage of the check that was running."""
     modules = [each.f_globals.get("__name__", "") for each, _ in traceback.walk_tb(spent.__traceback__)]
     stages = [name.split(".")[1] for name in modules if name.startswith("antdsl.") and name != __name__]
     stage = next((each for each in reversed(stages) if each in _STAGES), "")
@@ -156,7 +156,7 @@ _STAGES = {
 
 
 def _groups(files: Sequence[Path]) -> list[list[Path]]:
-    """Files that may use each other stand together: those of a folder and of all folders below it. Small groups come first."""
+    """Group files that may use each other: those of a folder and of all folders below it. Small groups come first."""
     groups: dict[Path, list[Path]] = {}
     tops: list[Path] = []
     for folder in sorted({real_path(file).parent for file in files}):
@@ -178,14 +178,14 @@ def _weight(files: Iterable[Path]) -> int:
 
 
 def _may_fork() -> bool:
-    """Not on macOS, and not beside the threads of a ray library."""
+    """Return whether this process may fork: only on Linux, and not if the threads of a ray library are loaded."""
     return sys.platform == "linux" and "open3d" not in sys.modules
 
 
 def _begin(
     groups: Sequence[list[Path]], claims: int, choices: Choices, strict: bool, parsed: CheckedOnce, cpu_seconds: float
 ) -> tuple[int, int]:
-    """A child process that checks groups: its number, and the pipe that its answer comes by."""
+    """Start a child process that checks groups; return its process id and the pipe of its result."""
     ours, theirs = os.pipe()
     process = os.fork()
     if process == 0:
@@ -213,7 +213,7 @@ def _work(
 
 
 def _end(process: int, pipe: int) -> Checked:
-    """What a child found; nothing if it ended without an answer, or in the middle of one."""
+    """Return the result of a child; empty if it ended before or during its answer."""
     found = Checked()
     with os.fdopen(pipe, "rb") as file, suppress(ValueError):
         found.reports, found.sources = decode_reports(file.read())

@@ -1,7 +1,7 @@
 """How child processes start: with search paths that never name the working directory.
 
 Python looks for modules in the working directory first when it starts with `-c` or `-m`. So does every child that the standard
-library or Dask starts. `isolate` switches that off for this process and for all its children, whoever starts them.
+library or Dask starts. `isolate` disables that for this process and for all its children, whatever code starts them.
 `module_command` and `module_environment` start a module of ours.
 
 An empty or relative entry of `PATH`, `PYTHONPATH` or a list of library folders means the working directory. It is removed: people
@@ -20,8 +20,8 @@ INSTALLATION = os.path.dirname(os.path.dirname(os.path.abspath(__file__)))
 def isolate() -> None:
     """Remove the working directory from all search paths of this process and of its children. A second call changes nothing.
 
-    The change stays for the life of the process: a pool starts its children when tasks come, and libraries start theirs in
-    threads of their own."""
+    The change lasts for the life of the process: a pool starts its children when tasks come, and libraries start theirs in
+    separate threads."""
     relative = _relative_entries(os.environ.get("PYTHONPATH", ""))
     for name in SEARCH_PATHS:
         if value := os.environ.get(name):
@@ -44,7 +44,7 @@ def module_command(module: str, *arguments: str) -> list[str]:
 
 
 def module_environment() -> dict[str, str]:
-    """The environment of such a command: this process's own, with which the child finds the same antdsl."""
+    """Return the environment of such a command: this process's own, so that the child imports the same antdsl."""
     isolate()
     path = [entry for entry in os.environ.get("PYTHONPATH", "").split(os.pathsep) if entry]
     if os.path.basename(INSTALLATION) not in ("site-packages", "dist-packages") and INSTALLATION not in path:

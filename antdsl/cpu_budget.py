@@ -1,4 +1,4 @@
-"""The processor time that a piece of work may take, that of other processes which work for it included."""
+"""The processor time that a piece of work may take, including other processes that work for it."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ class CpuBudgetSpent(BaseException):
 
 @contextmanager
 def cpu_budget(seconds: float) -> Iterator[None]:
-    """Raise CpuBudgetSpent within, once this process and what was charged have used so much processor time; 0 is no limit. Main
-    thread only, and not on Windows, which has no such timer. A library that is at work ends its call first."""
+    """Raise CpuBudgetSpent inside the context once this process and charged time exceed `seconds` of processor time; 0 is no
+    limit. Main thread only, and not on Windows, which lacks such a timer. A running library call finishes first."""
     global _owner, _end
     if not seconds or not hasattr(signal, "setitimer") or threading.current_thread() is not threading.main_thread():
         yield
@@ -48,7 +48,7 @@ def remaining() -> float:
 
 
 def charge(seconds: float) -> None:
-    """Take processor time of another process from the budget. CpuBudgetSpent where nothing is left, in the main thread."""
+    """Charge processor time of another process to the budget. Raises CpuBudgetSpent in the main thread if nothing is left."""
     global _end
     if _owner != os.getpid():
         return

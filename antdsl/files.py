@@ -1,4 +1,4 @@
-"""Which files paths mean, and the texts of checked files."""
+"""Resolves paths to files, and returns the texts of checked files."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ SKIPPED_FOLDERS = frozenset(["node_modules", "__pycache__", "out", "build", "dis
 
 
 def find_files(paths: Iterable[Path]) -> tuple[list[Path], Report]:
-    """The programs and scenes that paths mean: files as they are, patterns such as `shots/**/*.ant` by what they match, folders
-    searched without following links, hidden ones left out."""
+    """Return the programs and scenes that paths select: files themselves, matches of patterns such as `shots/**/*.ant`, and files
+    in folders. Folders are searched without following links; hidden ones are left out."""
     found: dict[Path, None] = {}
     report = Report()
     for path in _matched(paths, report):
@@ -40,7 +40,7 @@ def find_files(paths: Iterable[Path]) -> tuple[list[Path], Report]:
 
 
 def _matched(paths: Iterable[Path], report: Report) -> Iterator[Path]:
-    """The paths, patterns replaced by what they match. What is there by that very name is no pattern."""
+    """Yield the paths, with patterns replaced by their matches. A path that exists is never treated as a pattern."""
     for path in paths:
         if path.exists() or not has_magic(str(path)):
             yield path
@@ -53,7 +53,7 @@ def _matched(paths: Iterable[Path], report: Report) -> Iterator[Path]:
 
 
 def sources(files: Iterable[Path], parsed: Parsed) -> list[Source]:
-    """The texts of checked files, as far as they can be read: programs as they were parsed, and scenes."""
+    """Return the readable texts of checked files: programs as they were parsed, and scenes."""
     found = [file.source for file, _ in parsed.values() if not file.source.path.startswith("<")]
     for path in files:
         if path.suffix != ".ant":
@@ -66,7 +66,7 @@ def sources(files: Iterable[Path], parsed: Parsed) -> list[Source]:
 
 
 def _is_scene(path: Path) -> bool:
-    """Whether a YAML file begins like a scene; a folder may hold others."""
+    """Return whether a YAML file begins like a scene; a folder may hold other YAML files."""
     try:
         lines = read_start(path, 4096).removeprefix(b"\xef\xbb\xbf").splitlines()
     except OSError:

@@ -16,7 +16,7 @@ USE_DEPTH: Final = 16
 LINE_CHARACTERS: Final = 2000
 NAME_CHARACTERS: Final = 64
 NUMBER_DIGITS: Final = 32
-LARGEST: Final = 3.0e38  # number that can be kept; a little further a float32 is endless
+LARGEST: Final = 3.0e38  # largest number that can be stored; a little further a float32 is infinite
 NESTING: Final = 64  # brackets of any kind, open at once
 EXPRESSION_DEPTH: Final = 200  # operations inside operations, `1 + 1 + 1` being two deep; keeps recursion over a tree safe
 STATEMENTS: Final = 4000  # of one file, those in braces too; counted before any of them is parsed
@@ -31,8 +31,8 @@ LAYERS: Final = 32
 RULES: Final = 64  # of one `fuzzy`
 ATTRIBUTES: Final = 256
 FIELDS: Final = 64
-STRONGEST: Final = 16  # others whom one agent keeps a value per pair about
-TOUCHED: Final = 8  # others of a species whom one agent knows that it touches
+STRONGEST: Final = 16  # others about which one agent stores a value per pair
+TOUCHED: Final = 8  # others of a species that one agent can know to touch
 
 # scene
 SCENE_BYTES: Final = 1 * MIB
@@ -83,7 +83,7 @@ READER_MEMORY_MOST: Final = 8 * GIB
 READER_BYTES_A_SECOND: Final = 256 * KIB  # of files that are given one second of CPU more each
 READER_SECONDS: Final = 5  # of CPU for one request about files of no size
 READER_SECONDS_A_SCENE: Final = 1_800  # of CPU for all requests of one scene, in addition to those for the size of its files
-READER_WALL_SECONDS: Final = 60  # besides four times the seconds of CPU
+READER_WALL_SECONDS: Final = 60  # in addition to four times the seconds of CPU
 USD_LAYERS: Final = 10_000  # files that one USD file is made of
 USD_LEVELS: Final = 256  # of prims below each other
 USD_PRIMS: Final = 1_000_000  # of one composed stage
@@ -92,13 +92,13 @@ PACKAGE_PARTS: Final = 10_000  # files in one .usdz
 
 # senses and fields
 NEIGHBOURS: Final = 256  # of one agent in one question, the nearest
-WITHIN_RADIUS: Final = 8192  # others within the radius of one agent in one question, from whom the nearest are chosen
+WITHIN_RADIUS: Final = 8192  # others within the radius of one agent in one query, from which the nearest are chosen
 FIELD_CELLS: Final = 20_000_000  # of one field
-FLOW_POINTS: Final = 4_000_000  # in which one flow is worked out
+FLOW_POINTS: Final = 4_000_000  # points in which one flow is computed
 
 # preview
 PREVIEW_CLIENTS: Final = 16
-PREVIEW_STRANGERS: Final = 64  # connections that nobody has let in yet
+PREVIEW_STRANGERS: Final = 64  # connections that are not yet admitted
 PREVIEW_MESSAGE_BYTES: Final = 64 * KIB  # of one message from a page
 PREVIEW_FRAGMENTS: Final = 64  # that one message may come in
 PREVIEW_ASKS_A_SECOND: Final = 120

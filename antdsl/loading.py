@@ -1,5 +1,5 @@
-"""Finds the text behind names: programs that a scene or a person names, the library behind `use steering`, files behind
-`use "./mine.ant"`. Each file is read and parsed once; its hash is kept for the cache."""
+"""Access to the text behind names: programs that a scene or a person names, the library behind `use steering`, files behind `use
+"./mine.ant"`. Each file is read and parsed once; its hash is stored for the cache."""
 
 from __future__ import annotations
 
@@ -24,8 +24,8 @@ Parsed = dict[str, tuple[nodes.File, Report]]
 
 
 class CheckedOnce(Parsed):
-    """The same for many files that nobody changes meanwhile. `checked` is what the same files came to together: a scene's program
-    is that of its file; with it stand the names of the libraries that it uses."""
+    """The same for many files that do not change meanwhile. `checked`: results for the same files, as a scene's program is that
+    of its file. The names of the libraries that it uses are stored with it."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -39,7 +39,7 @@ def library(name: str) -> nodes.File | None:
 
 @lru_cache(maxsize=64)
 def _parsed_library(name: str, text: str) -> tuple[nodes.File, Report]:
-    """Parsing a file of the library takes longer than to check what most programs take from it."""
+    """Return a parsed library file, cached: parsing takes longer than the check of the parts that most programs use."""
     return syntax.parse(Source(name, text))
 
 
@@ -67,11 +67,11 @@ class Loaded:
         return self._library[name]
 
     def libraries(self) -> tuple[str, ...]:
-        """The names of the files of the library that were asked for."""
+        """Return the names of the library files that were requested."""
         return tuple(self._library)
 
     def add_file(self, path: Path) -> nodes.File | None:
-        """A program that the person named: any path will do; what it uses must lie below its folder."""
+        """Add a program that the user named. It may have any path; files that it uses must be below its folder."""
         file = self._parse(path, str(path))
         if file is not None:
             self.files.append(file)
@@ -79,7 +79,7 @@ class Loaded:
         return file
 
     def add_named(self, text: str, roots: Roots, span: Span) -> nodes.File | None:
-        """A program that a scene names, through the scene's door to files."""
+        """Add a program that a scene names, with the scene's access to files. Return None if it cannot be read."""
         path = self._locate(text, roots, span)
         if path is None:
             return None
@@ -90,7 +90,7 @@ class Loaded:
         return file
 
     def hashes(self) -> dict[str, str]:
-        """A hash for the text of each file, by the name under which it was read."""
+        """Return a hash of each file's text, by the name under which the file was read."""
         return {name: hashlib.blake2b(text.encode(), digest_size=16).hexdigest() for name, text in sorted(self.texts.items())}
 
     def _key(self, path: Path) -> str:
@@ -111,7 +111,8 @@ class Loaded:
     def _parse(
         self, path: Path, name: str, span: Span | None = None, door: tuple[Roots, str] | None = None, *, of_library: bool = False
     ) -> nodes.File | None:
-        """`door`: where the file may lie and what it is called there; None for one that the person named or of the library."""
+        """Return a parsed file, or None with the reason in the report. `door`: the roots that the file may lie in, and its path
+        there. None for a file of the library or one that the person named."""
         place = os.path.realpath(path)
         if place in self.parsed:
             file, report = self.parsed[place]
@@ -176,7 +177,7 @@ def uses(file: nodes.File) -> tuple[nodes.Use, ...]:
 
 
 def shown(path: Path) -> str:
-    """A path as people know it: relative to where they are, if it lies below."""
+    """Return a path for display: relative to the working directory if it is below it."""
     try:
         return str(path.relative_to(Path.cwd()))
     except ValueError:

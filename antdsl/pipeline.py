@@ -1,6 +1,6 @@
-"""The chain on one page: text → tree → program → plan, scene → setting, both → a world that steps.
+"""The complete chain: text → tree → program → plan, scene → setting, both → a world that steps.
 
-Every stage gives `(result, Report)`; a result is None where its errors leave nothing to go on with."""
+Every stage returns `(result, Report)`; a result is None where errors prevent it."""
 
 from __future__ import annotations
 
@@ -34,19 +34,19 @@ SKIPPED_FOLDERS = frozenset(["node_modules", "__pycache__", "out", "build", "dis
 
 @dataclass(frozen=True, slots=True)
 class Choices:
-    """What the person who runs a scene says besides it: roots granted, and values that go before the scene's own."""
+    """What the user of a scene chooses in addition: granted roots, and values that override the scene's own."""
 
     grants: Mapping[str, Path] = field(default_factory=dict)
     frames: FrameRange | None = None
     seed: int | None = None
     params: Mapping[str, str] = field(default_factory=dict)
-    changes: tuple[Changed, ...] = ()  # what a spec sets besides: params and settings of fields
+    changes: tuple[Changed, ...] = ()  # what a spec also sets: params and settings of fields
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Shot:
-    """A scene that is ready to be simulated. `inputs` has a hash for all that the result depends on, by name; `loaded` are the
-    texts that the program was made of. `bodies`: by species, those that come from files."""
+    """A scene that is ready to be simulated. `inputs` has a hash of everything that the result depends on, by name. `loaded` are
+    the texts of the program. `bodies`: by species, those from files."""
 
     scene: Scene
     program: Program
@@ -64,8 +64,9 @@ class Shot:
 def compile_files(
     paths: Iterable[Path | str], *, strict: bool = False, parsed: Parsed | None = None, memo: Memo | None = None
 ) -> tuple[Program | None, Report]:
-    """Parse and check programs together, with the library and all files that they use. `strict` adds what only `check --strict`
-    tells; `parsed` and `memo` keep what was parsed and checked, for the next call."""
+    """Parse and check programs together, with the library and all files that they use.
+
+    `strict` adds the findings of `check --strict`. `parsed` and `memo` cache what was parsed and checked, for the next call."""
     files = [Path(path) for path in paths]
     loaded = Loaded(real_path(files[0]).parent if files else Path.cwd(), parsed={} if parsed is None else parsed)
     for file in files:
@@ -86,7 +87,7 @@ def _checked(loaded: Loaded, strict: bool, memo: Memo | None = None) -> tuple[Pr
     if key not in kept:
         kept[key] = *check(loaded.files, loaded.library, loaded.modules, strict=strict, memo=memo), loaded.libraries()
     program, findings, libraries = kept[key]
-    for name in libraries:  # what a program is made of is told with it, also where it was checked before
+    for name in libraries:  # a program's parts are reported with it, also if it was checked before
         loaded.library(name)
     report.extend(loaded.report)
     report.extend(findings)
@@ -180,8 +181,8 @@ def _read_scene(
 
 
 def _begin_reading(scene: Scene) -> None:
-    """Tell the reader that another scene begins, and have it load USD while the programs are checked, where the scene has things
-    out of USD files."""
+    """Announce a new scene to the reader. If the scene has things from USD files, USD is loaded while the programs are
+    checked."""
     if "antdsl.reader.client" in sys.modules:
         from antdsl.reader import client
 
@@ -196,8 +197,8 @@ _CROWD_HELP = "add `crowd:` and below it `  - {species: NAME, from: FILE.ant, co
 
 
 def simulate(shot: Shot, options: Options | None = None) -> Iterator[World]:
-    """Step through a shot: the world at each frame from first to last, the preroll done before the first. The same World
-    each time."""
+    """Step through a shot. Yield the world at each frame from first to last, after the preroll. It is the same World object each
+    time."""
     from antdsl.runtime import bind, step
 
     world = bind(shot.plan, shot.setting, options)
@@ -212,8 +213,10 @@ def simulate(shot: Shot, options: Options | None = None) -> Iterator[World]:
 def check_scene_text(
     path: Path, texts: Mapping[Path, bytes], *, parsed: Parsed | None = None
 ) -> tuple[Scene | None, Program | None, Report]:
-    """A scene as an editor holds it, with its programs and bodies: all of `check_path` but what the meshes of its world would
-    tell. `texts` are the scenes that go before what is on disk: this one, and those that it extends."""
+    """Check a scene as in an editor, with its programs and bodies: everything in `check_path` except findings about the meshes of
+    its world.
+
+    `texts` are the scenes that override those on disk: this one, and those that it extends."""
     from antdsl.bodies.crowd_bodies import crowd_bodies
 
     scene, program, _, report = _read_scene(path, Choices(), parsed=parsed, data=texts[path], texts=texts)
@@ -225,9 +228,9 @@ def check_scene_text(
 def check_path(
     path: Path, choices: Choices | None = None, *, strict: bool = False, parsed: Parsed | None = None, specs: bool = True
 ) -> tuple[Program | None, Report]:
-    """All that can be known about one file without running it: a program by itself, or a scene with its programs and meshes.
-    With one `parsed` for many files, what is wrong with a program is at the same place whoever names it. `specs`: also whether
-    the scenes are there that its specs run on."""
+    """Check a file without running it: a program alone, or a scene with its programs and meshes. With one `parsed` for many
+    files, findings about a program have one location, whichever file names it. `specs`: also check that the scenes of its specs
+    exist."""
     from antdsl.scene.existence_checks import spec_scenes
 
     choices = choices or Choices()
@@ -252,7 +255,7 @@ def check_path(
 
 
 def mesh_imports(path: Path, choices: Choices) -> tuple[Mapping[str, MeshImport], str]:
-    """By name, what was read of each mesh of a scene that can be read, whatever else is wrong; and the scene's unit."""
+    """Return by name the import notes of each readable mesh of a scene, whatever else is wrong, and the scene's unit."""
     from antdsl.scene.staging.stage_scene import import_reports
 
     scene, program, _, _ = _read_scene(path, choices)
@@ -260,8 +263,10 @@ def mesh_imports(path: Path, choices: Choices) -> tuple[Mapping[str, MeshImport]
 
 
 def _answered(report: Report, scene: Scene, program: Program, setting: Setting | None) -> list[Diagnostic]:
-    """Warnings about attributes that do not hold in a scene: that one is always the same where places of the scene give it to
-    agents that begin there, and that one is never read where the scene writes it to the cache."""
+    """Return the warnings about attributes that do not hold in a scene.
+
+    These say that an attribute is constant, where the scene sets it for some agents at the start. Or they say that it is never
+    read, where the scene writes it to the cache."""
     given = setting.begun_with if setting is not None else {}
     begun = [a.span for name, of in given.items() for a in program.species[name].attributes if a.name in of]
     output = scene.model.output.attributes

@@ -1,5 +1,5 @@
-"""Where the files that come with antdsl are: the grammar, the library of behaviours, the pages of the codes, the page of the
-preview, examples. No other file knows."""
+"""Locations of the files that come with antdsl: the grammar, the behaviour library, the code pages, the preview's page, examples.
+Only this module knows them."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ _PACKAGE = Path(__file__).resolve().parent
 
 
 def _folder(name: str) -> Path:
-    """In an installed package the folders lie in `_data`, in a checkout beside the package."""
+    """Return a folder: in `_data` in an installed package, next to the package in a checkout."""
     packed = _PACKAGE / "_data" / name
     return packed if packed.is_dir() else _PACKAGE.parent / name
 
@@ -36,7 +36,7 @@ def library_names() -> tuple[str, ...]:
 
 
 def library_file(name: str) -> Path | None:
-    """The file behind `use NAME`, or None when the library has none of that name."""
+    """Return the file behind `use NAME`, or None if the library has no such file."""
     file = behaviours_folder() / f"{name}.ant"
     return file if name.isidentifier() and os.path.isfile(file) else None  # whatever its length
 
@@ -59,7 +59,7 @@ def code_page(code: str) -> Path | None:
 
 
 def page_file(name: str) -> Path:
-    """A file of the preview's page, as it was built: `index.html`, `app.js`, `app.css`."""
+    """Return a built file of the preview's page: `index.html`, `app.js`, `app.css`."""
     return _PACKAGE / "preview" / "page" / name
 
 

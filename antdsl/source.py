@@ -1,4 +1,4 @@
-"""Source text and places in it: `Source` is one file's text, `Span` is a stretch of it."""
+"""Source text and locations in it: `Source` is one file's text, `Span` is a range of it."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ from dataclasses import dataclass, field
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Source:
-    """One file's text, with the name under which it is shown to people. `part`: the number of a part of a file that is a source
-    of its own, so that it can move in its file and stay as it is; 0 for a whole file."""
+    """The text of one file, with its display name. `part`: the number of a part of a file, 0 for a whole file. A part is a
+    separate source, so that it can move in its file unchanged."""
 
     path: str
     text: str

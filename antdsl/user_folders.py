@@ -1,7 +1,7 @@
 """Folders of the user who runs this process, and private files in them.
 
 The home folder comes from the password database, on Windows from the system's known folders. `HOME` and `XDG_*` are not read:
-they may point into a project that a stranger wrote, and what lies in these folders is trusted."""
+they may point into an untrusted project, but the contents of these folders are trusted."""
 
 from __future__ import annotations
 
@@ -33,14 +33,14 @@ def home_folder() -> Path:
 
 
 def cache_folder() -> Path:
-    """Where programs of this user store what they can compute again. OSError where there is no home folder."""
+    """Return where programs of this user store what they can compute again. Raises OSError if there is no home folder."""
     if sys.platform == "win32":
         return _local_app_data()
     return home_folder() / ("Library/Caches" if sys.platform == "darwin" else ".cache")
 
 
 def state_folder() -> Path:
-    """Where programs of this user store what must survive a restart. OSError where there is no home folder."""
+    """Return where programs of this user store what must survive a restart. Raises OSError if there is no home folder."""
     return _local_app_data() if sys.platform == "win32" else home_folder() / ".local" / "state"
 
 
@@ -53,8 +53,8 @@ def make_private_folder(path: Path) -> None:
 
 
 def read_private(path: Path, cap: int) -> bytes:
-    """A file of at most `cap` bytes that only this user may read. OSError where there is none, it is a link or no regular file;
-    NotPrivate where it has two names, belongs to another user, or others may read or write it."""
+    """Return the content of a file of at most `cap` bytes that only this user may read. Raises OSError if there is none, it is a
+    link or not a regular file. Raises NotPrivate if it has two names, belongs to another user, or others may read or write it."""
     _require_private(os.lstat(path.parent), stat.S_IWGRP | stat.S_IWOTH)
     handle = open_regular(path, follow=False)
     try:
@@ -66,8 +66,8 @@ def read_private(path: Path, cap: int) -> bytes:
 
 
 def _require_private(status: os.stat_result, others: int) -> None:
-    """`others`: bits of the mode that no private file has. On Windows access lists say who may read, and a user's own folders
-    have lists that keep others out."""
+    """Raise NotPrivate for a file that others may access. `others`: mode bits that no private file has. On Windows, access lists
+    control this, and those of a user's own folders exclude others."""
     if stat.S_ISLNK(status.st_mode) or getattr(status, "st_reparse_tag", False):
         raise NotPrivate(0, "it is a link")
     if stat.S_ISREG(status.st_mode) and status.st_nlink > 1:

@@ -1,9 +1,9 @@
-"""Atomic writes: a file gets its name once all of it is written. All files are written, synced and moved by this module.
+"""Atomic writes: a file gets its name after all of it is written. This module writes, syncs and moves all files.
 
-`sync=True`, the default, brings a file onto the disk before it gets its name, so that a power loss leaves the old file or the
-new one. `sync=False` is for files that need not wait for the disk one by one. Some are checked against a hash whenever they are
-read, so a damaged one is found and made again. Others are many files of one command, which makes them again when it is repeated:
-`sync_files` brings them onto the disk together before the command ends."""
+`sync=True`, the default, writes a file to the disk before it gets its name, so that a power loss leaves the old file or the new
+one. `sync=False` is for files that need not wait for the disk one by one. Some of them are checked against a hash on every read,
+so a damaged one is detected and created again. Others are the many files of one command, which creates them again when it is
+repeated: `sync_files` writes them to the disk together before the command ends."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from typing import IO, cast
 
 PART = ".part"
 Parts = Sequence[bytes | memoryview]
-_LONGEST = 40  # characters of a name that are kept, so that no system finds the new one too long
+_LONGEST = 40  # characters of a name that are retained, so that no system rejects the new name as too long
 _TRIES = 8
 _NO_SUCH_CALL = (errno.EINVAL, errno.ENOSYS, errno.EOPNOTSUPP)  # of file systems that cannot sync a folder
 _AT_ONCE = 1000  # parts; systems take 1024
@@ -30,25 +30,25 @@ _APPEND = os.O_WRONLY | os.O_APPEND | os.O_CREAT | getattr(os, "O_NOFOLLOW", 0) 
 
 
 def write_whole(path: Path, data: bytes | Parts, *, sync: bool = True, mode: int = 0o666) -> None:
-    """Write a file at once. `data`: its bytes, or parts that are these end to end.
+    """Write a file atomically. `data`: its bytes, or parts to be joined.
 
-    A reader, also after a crash, sees the old file or all of the new one. An OSError names `path`; the old file stays then.
-    `mode`: who may read and write the file, less what the system withholds from new files."""
+    A reader, even after a crash, sees the old file or all of the new one. An OSError names `path`; the old file then stays.
+    `mode`: the permissions of the file, less what the system withholds from new files."""
     with _opened(path, sync, mode) as handle:
         write_parts(handle, [data] if isinstance(data, bytes) else data)
 
 
 @contextmanager
 def whole_file(path: Path, *, sync: bool = True) -> Iterator[IO[bytes]]:
-    """The same as a binary file to write piece by piece."""
+    """As `write_whole`, with a binary file to write piece by piece."""
     with _opened(path, sync, 0o666) as handle, FileIO(handle, "wb", closefd=False) as raw, BufferedWriter(raw) as file:
         yield cast(IO[bytes], file)
 
 
 @contextmanager
 def whole(path: Path, ending: str = PART, *, sync: bool = True) -> Iterator[Path]:
-    """The same as a path, for libraries and programs that open files by name. `ending`: what the name of the file that is
-    written ends in, for those that go by it."""
+    """As `whole_file`, with a path, for libraries and programs that open files by name. `ending`: the suffix of the file being
+    written, for programs that depend on it."""
     part = new_beside(path, ending)
     with _placed(str(part), path, sync):
         yield part
@@ -57,15 +57,15 @@ def whole(path: Path, ending: str = PART, *, sync: bool = True) -> Iterator[Path
 
 
 def new_beside(path: Path, ending: str = PART) -> Path:
-    """An empty file of our own beside a path. Whatever is there, also a link or a pipe, is neither opened nor written into nor
-    taken away. Raises OSError where none can be made."""
+    """Create an empty new file next to a path. Existing files, links or pipes are neither opened, written nor removed. Raises
+    OSError if no file can be created."""
     new, handle = _new(path, ending, 0o666)
     os.close(handle)
     return Path(new)
 
 
 def _new(path: Path, ending: str, mode: int) -> tuple[str, int]:
-    """The same, open to be written: its path, and its handle."""
+    """As `new_beside`, open for writing: return its path and its handle."""
     place, name = os.path.split(path)
     remove_stale(place)
     for left in reversed(range(_TRIES)):
@@ -87,10 +87,10 @@ _cleaned: set[tuple[int, str]] = set()
 
 
 def remove_stale(folder: str) -> None:
-    """Remove files from a folder that a process began to write here and was killed. Once for each folder and process.
+    """Remove unfinished files of killed processes from a folder. Runs once for each folder and process.
 
-    Only regular files of this user with a name of ours are removed, whose process ran on this machine (in this container) and
-    is gone. No clock is looked at. Not on Windows, where a process cannot be looked for without harm."""
+    Only regular files of this user with our name pattern are removed, if their process ran on this machine (in this container)
+    and is gone. No clock is used. Does nothing on Windows, where testing for a process is not safe."""
     key = (os.getpid(), os.path.abspath(folder or "."))
     if key in _cleaned or os.name == "nt":
         return
@@ -116,13 +116,13 @@ def _is_running(process: int) -> bool:
 
 
 def _machine() -> str:
-    """Eight digits for this machine, and for the container whose process numbers are seen here."""
+    """Return eight digits for this machine, and for the container that has the process numbers visible here."""
     return _machine_of(os.getpid())
 
 
 @lru_cache(1)
 def _machine_of(process: int) -> str:
-    """The same, asked once by each process."""
+    """Return the same, computed once by each process."""
     from hashlib import blake2b
 
     space = ""
@@ -134,12 +134,12 @@ def _machine_of(process: int) -> str:
 
 @contextmanager
 def _opened(path: Path, sync: bool, mode: int) -> Iterator[int]:
-    """A file that takes the place of `path` at the end, as a handle."""
+    """Yield a handle of a file that replaces `path` at the end."""
     part, handle = _new(path, PART, mode)
     with _placed(part, path, sync):
         try:
-            # The file is emptied before anything is in it, by which ext4 takes it for one that is written anew, and begins to
-            # bring it onto the disk as it is closed: to make sure later that many of them are there takes two thirds of the time.
+            # The file is emptied before anything is written. Ext4 then treats it as rewritten, and begins writing it to disk on
+            # close. Syncing many such files later takes two thirds of the time.
             os.ftruncate(handle, 0)
             yield handle
             if sync:
@@ -149,8 +149,8 @@ def _opened(path: Path, sync: bool, mode: int) -> Iterator[int]:
 
 
 def create_complete(path: Path, data: bytes, mode: int = 0o666) -> None:
-    """A new file that has all of its content from the moment it has its name. FileExistsError where the name is taken; another
-    OSError where it cannot be written. `mode`: as of `whole`."""
+    """Create a file that has its complete content as soon as it has its name. Raises FileExistsError if the name is taken,
+    another OSError if it cannot be written. `mode`: as in `write_whole`."""
     part, handle = _new(path, PART, mode)
     try:
         with os.fdopen(handle, "wb") as file:
@@ -163,7 +163,7 @@ def create_complete(path: Path, data: bytes, mode: int = 0o666) -> None:
 
 @contextmanager
 def _placed(part: str, path: Path, sync: bool) -> Iterator[None]:
-    """Move what has been written to its place; where anything fails remove it, and have an OSError name `path`."""
+    """Move what has been written to its place. If anything fails, remove it, and make an OSError name `path`."""
     try:
         yield
         _replace(part, path)
@@ -177,12 +177,12 @@ def _placed(part: str, path: Path, sync: bool) -> Iterator[None]:
     if sync:
         try:
             sync_folder(Path(path).parent)
-        except OSError as problem:  # of a folder that may be `.`, which would tell nobody what was written
+        except OSError as problem:  # the folder may be `.`, which would not identify the file
             raise OSError(problem.errno, problem.strerror, str(path)) from None
 
 
 def _replace(part: str, path: Path) -> None:
-    """`os.replace`; where a reader may hold the old file open (Windows) a few more times."""
+    """Call `os.replace`. If a reader may hold the old file open (Windows), retry a few times."""
     for attempt in range(5):
         try:
             os.replace(part, path)
@@ -197,7 +197,7 @@ def _replace(part: str, path: Path) -> None:
 
 @contextmanager
 def name_failures(path: Path) -> Iterator[None]:
-    """Have an OSError that names no file name `path`."""
+    """Make an OSError that names no file name `path`."""
     try:
         yield
     except OSError as problem:
@@ -207,14 +207,14 @@ def name_failures(path: Path) -> Iterator[None]:
 
 
 class AppendedFile:
-    """A file that grows at its end. An OSError names it. To be closed."""
+    """A file that grows at its end. An OSError names it. The caller must close it."""
 
     def __init__(self, path: Path) -> None:
         self._path = path
         self._handle = os.open(path, _APPEND, 0o666)
 
     def write(self, parts: Parts) -> None:
-        """Add parts end to end. They are on the disk after the next `sync`; before that any beginning of them may be."""
+        """Append parts. They are on the disk after the next `sync`; before that, possibly only a beginning of them."""
         with name_failures(self._path):
             write_parts(self._handle, parts)
 
@@ -228,8 +228,8 @@ class AppendedFile:
 
 
 def write_parts(handle: int, parts: Parts) -> None:
-    """Write parts end to end into an open file. All in one call where the system has one for it: it finds room for a large piece
-    at once in half the time that it takes for many small ones."""
+    """Write parts one after the other into an open file. If the system supports it, one call writes all: allocating one large
+    piece takes half the time of many small ones."""
     left = deque(parts)
     while left:
         some = list(islice(left, _AT_ONCE))
@@ -241,7 +241,7 @@ def write_parts(handle: int, parts: Parts) -> None:
 
 
 def sync_file(path: Path) -> None:
-    """Bring a file that was written before onto the disk."""
+    """Write a file's existing data to the disk."""
     handle = os.open(path, os.O_RDWR)
     try:
         with name_failures(path):
@@ -251,7 +251,7 @@ def sync_file(path: Path) -> None:
 
 
 def sync_files(paths: Iterable[Path]) -> None:
-    """Bring files that were written before onto the disk, with their names. Raises OSError."""
+    """Write the data and the names of existing files to the disk. Raises OSError."""
     folders: dict[Path, None] = {}
     for path in paths:
         sync_file(path)
@@ -279,7 +279,7 @@ def sync_folder(folder: Path) -> None:
 
 
 def make_folder(folder: Path) -> None:
-    """Make a folder, and those above it, where they are missing, durably. Raises OSError."""
+    """Create a folder and its missing parents durably. Raises OSError."""
     missing = [each for each in (folder, *folder.parents) if not each.exists()]
     for each in reversed(missing):
         each.mkdir(exist_ok=True)
@@ -289,7 +289,7 @@ def make_folder(folder: Path) -> None:
 
 
 def is_link(path: Path) -> bool:
-    """Whether a path is a link itself, on Windows a junction too; false where nothing is there."""
+    """Return whether a path is itself a link (on Windows, also a junction); False where nothing exists."""
     try:
         status = os.lstat(path)
     except OSError:
@@ -298,7 +298,8 @@ def is_link(path: Path) -> bool:
 
 
 def first_link(base: Path, *names: str) -> Path | None:
-    """The first of `base/NAME`, `base/NAME/NAME`, … that is a link, or None. Links in `base` are those of whoever named it."""
+    """Return the first of `base/NAME`, `base/NAME/NAME`, … that is a link, or None. Links within `base` are the caller's
+    choice."""
     path = base
     for name in names:
         path /= name

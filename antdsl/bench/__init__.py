@@ -1,9 +1,9 @@
-"""How long steps take, what they are made of, and how that compares: cases in, costs and ratios out.
+"""Measurements of steps: how long they take, which operations they consist of, and ratios between backends.
 
-`cases` names what is measured and `scaling` makes a scene of it with so many agents. `measuring` takes a case through set-up and
-steps in this process, several backends and the bound written by hand in turn; `processes` does so in a process of its own, where
-memory and start-up are nobody else's. `ratios` holds the statistics, `counting` what can be counted exactly, `tables` the words
-for a page. Nothing here changes a result."""
+`cases` names the measured cases, and `scaling` builds a scene of a case with a given number of agents. `measuring` runs the
+set-up and steps of a case in this process: several backends and the hand-written bound in turn. `processes` does so in a separate
+process, which shares its memory and start-up with nothing else. `ratios` holds the statistics, `counting` the exact counts,
+`tables` the texts for a page. Nothing here changes a result."""
 
 from antdsl.bench.cases import CASES, Case
 from antdsl.bench.costs import Cost, Job, Measured, measured

@@ -1,4 +1,4 @@
-"""The process that measures: a job in JSON as its only word, what it found out in JSON as its last line."""
+"""The measuring process: it takes a job as one JSON argument and prints the result as JSON on its last line."""
 
 from __future__ import annotations
 

@@ -12,15 +12,16 @@ from typing import Any
 
 from antdsl.child_processes import module_command, module_environment
 
-BOUND = "bound"  # the name under which the frame written by hand is told beside backends
+BOUND = "bound"  # the name of the hand-written frame in reports, beside the names of backends
 
 
 @dataclass(frozen=True, slots=True)
 class Job:
-    """Measure a case (by its name, or a scene by its path) with so many agents (None: as many as it has) on some backends.
+    """A case to measure (its name, or the path of a scene) with a number of agents (None: its own number) on some backends.
 
-    `turns` times each backend makes `steps` steps, in turn with the others (0: as many as take about 20 ms). `bound`: the frame
-    written by hand takes its turns too. `full_run`: frames of a run, as `antdsl run` makes them, are measured besides."""
+    Each backend takes `turns` turns of `steps` steps, alternating with the others. With 0 steps, a turn has as many as take about
+    20 ms. `bound`: the hand-written frame takes turns too. `full_run`: also measure frames of a run, as `antdsl run` makes
+    them."""
 
     case: str
     agents: int | None
@@ -43,7 +44,7 @@ class Job:
 
 @dataclass(frozen=True, slots=True)
 class Cost:
-    """Seconds of a step, of the processors and by the clock, one number a turn; and by phase in the mean of all turns."""
+    """Seconds of a step, as CPU time and as wall time: one number per turn, and by phase the mean of all turns."""
 
     cpu: list[float]
     wall: list[float]
@@ -52,20 +53,23 @@ class Cost:
 
     @property
     def cpu_ms(self) -> float:
-        """Milliseconds of processors of a step: the median of the turns."""
+        """CPU milliseconds of a step: the median of the turns."""
         return 1000 * median(self.cpu)
 
     @property
     def wall_ms(self) -> float:
-        """Milliseconds by the clock of a step: the median of the turns."""
+        """Wall-clock milliseconds of a step: the median of the turns."""
         return 1000 * median(self.wall)
 
 
 @dataclass(frozen=True, slots=True)
 class SetUp:
-    """CPU seconds until the first frame: `start` Python and packages, `compile` from the texts to a plan and meshes, `bind` to a
-    world, `first` the first step. After it: `code` to make machine code that no run has kept, `kept` to load what one has kept
-    (None of a backend without any, or where no folder can keep it), `second` the second step, the first of machine code."""
+    """CPU seconds until the first frame, and to have machine code after it.
+
+    Until the first frame: `start`: Python and packages. `compile`: from the texts to a plan and meshes. `bind`: to a world.
+    `first`: the first step. After it: `code`: to build machine code that no run has cached. `kept`: to load cached machine code
+    (None for a backend without machine code, or if no folder can store it). `second`: the second step, the first one in machine
+    code."""
 
     start: float
     compile: float
@@ -83,8 +87,8 @@ class SetUp:
 
 @dataclass(frozen=True, slots=True)
 class FullRun:
-    """Seconds of a frame of a run: cache, feet and contacts as in the scene. `cpu` and `wall`: of all threads, the writer
-    included; `step`: CPU of the same steps when nothing is written; `feet`: the part of `step` that moves feet."""
+    """Seconds per frame of a run with cache, feet and contacts as in the scene. `cpu` and `wall`: of all threads, including the
+    writer; `step`: CPU of the same steps without writing; `feet`: the part of `step` that moves feet."""
 
     frames: int
     cpu: float
@@ -95,11 +99,12 @@ class FullRun:
 
 @dataclass(frozen=True, slots=True)
 class Measured:
-    """What a process found out. Of the first backend: `set_up`, `memory` (bytes that the process grew by at most, from before the
-    binding), `full_run` and `counts` of one step (`counting`). `state`: bytes of all that is kept of agents; `nodes`: those of
-    the plan; `neighbours`: how many others stand within the case's sight, in the mean, after the last step; `told`: what is
-    otherwise than asked, such as that NumPy has run where machine code was to be measured, each sentence after the name of its
-    backend."""
+    """Results of a measuring process.
+
+    Of the first backend: `set_up`; `memory`: the largest growth of the process in bytes, from before the binding; `full_run`;
+    `counts` of one step (see `counting`). `state`: bytes of all stored values of agents. `nodes`: number of nodes of the plan.
+    `neighbours`: mean number of others within the case's sight after the last step. `told`: messages about deviations from the
+    request, for example that NumPy ran instead of machine code. Each message begins with the name of its backend."""
 
     job: Job
     agents: int
@@ -134,7 +139,7 @@ class Measured:
         )
 
     def ratios(self, name: str, other: str) -> list[float]:
-        """CPU time of a step on one of `costs` over that on another, turn by turn."""
+        """Return the CPU time of a step of one entry of `costs` divided by that of another, turn by turn."""
         return [one / two for one, two in zip(self.costs[name].cpu, self.costs[other].cpu, strict=True)]
 
 

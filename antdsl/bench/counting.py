@@ -1,16 +1,16 @@
-"""What a step is made of, counted exactly: the same program makes the same counts on any machine, however busy.
+"""Exact counts of the work in a step: the same program gives the same counts on any machine, under any load.
 
 | count | of |
 |---|---|
-| `instructions` | calls of the NumPy backend's compiled blocks, regions that nobody is in left out |
+| `instructions` | calls of the NumPy backend's compiled blocks, without regions that no agent is in |
 | `instruction_bytes` | bytes of their operands and results |
-| `elements` | rows that they worked on, all together |
-| `numpy_calls` | functions of NumPy called by name (`np.take`, `np.add.at`) from outside NumPy; operators are not seen |
-| `numpy_bytes` | bytes of the arrays that these were given and gave |
+| `elements` | rows that they process, in total |
+| `numpy_calls` | NumPy functions called by name (`np.take`, `np.add.at`) from outside NumPy; operators are not counted |
+| `numpy_bytes` | bytes of the arrays that these calls take and return |
 | `python_calls` | functions of antdsl that Python called |
 
-A backend that has counts of its own, such as instructions of what it compiled, offers `counts() -> Mapping[str, int]`:
-`instructions NAME` is of a function of machine code, in LLVM's language."""
+A backend with additional counts, such as instructions that it compiled, offers `counts() -> Mapping[str, int]`: `instructions
+NAME` counts a function of machine code, in LLVM's language."""
 
 from __future__ import annotations
 
@@ -36,7 +36,8 @@ Counts = dict[str, int]
 
 
 def counts_of(plan: Any, setting: Setting, backend: str = "numpy") -> Counts:
-    """Counts of the step after SETTLED others, on one thread. Raises KeyError for a backend that is not there."""
+    """Return the counts of one step, on one thread, after SETTLED earlier steps. Raises KeyError for a backend that does not
+    exist."""
     if backend not in BACKENDS:
         raise KeyError(backend)
     name: Any = backend
@@ -47,7 +48,7 @@ def counts_of(plan: Any, setting: Setting, backend: str = "numpy") -> Counts:
 
 
 def count_step(world: World) -> Counts:
-    """Make a step and count it. The step gives what it always gives."""
+    """Make a step and count it. The step has the same result as without counting."""
     counts: Counts = {}
     with _numpy_counted(counts), _instructions_counted(world, counts), _functions_counted(counts):
         step(world)
@@ -67,7 +68,7 @@ def _instructions_counted(world: World, counts: Counts) -> Iterator[None]:
         yield
         return
     counts |= {"instructions": 0, "instruction_bytes": 0, "elements": 0}
-    NumpyBackend.measure(backend, True)  # also where the backend would go on with code of its own
+    NumpyBackend.measure(backend, True)  # also if the backend would continue with its own code
     scopes = {id(each.scope): each.scope for block in backend.metered.values() for each in block.instructions}
     plain = [(scope, scope.calls) for scope in scopes.values()]
     for scope, calls in plain:
@@ -94,7 +95,7 @@ def _counted(call: Run, instruction: Instruction, counts: Counts) -> Run:
 
 
 def _bytes(value: Any) -> int:
-    """Of an array, or of those in a tuple or a list."""
+    """Return the bytes of an array, or of the arrays in a tuple or a list."""
     if isinstance(value, np.ndarray):
         return value.nbytes
     return sum(map(_bytes, value)) if isinstance(value, tuple | list) else 0
@@ -105,7 +106,7 @@ def _bytes(value: Any) -> int:
 
 @contextmanager
 def _numpy_counted(counts: Counts) -> Iterator[None]:
-    """All functions that NumPy's namespace has are counted where somebody outside calls them."""
+    """Count the calls from outside NumPy to all functions in NumPy's namespace."""
     counts |= {"numpy_calls": 0, "numpy_bytes": 0}
     inside = [False]
     plain = {name: value for name, value in vars(np).items() if not name.startswith("_") and _is_function(value)}
@@ -123,8 +124,8 @@ def _is_function(value: Any) -> bool:
 
 
 class _Counted:
-    """A function of NumPy that counts its calls; what it calls itself of NumPy's does not count again. It stands for the function
-    to whoever asks which one it is: a kernel that is made meanwhile has its name in its text."""
+    """A NumPy function that counts its calls. Calls that it makes to other NumPy functions are not counted. It is equal to the
+    original function and has its hash and module, so that a kernel built meanwhile names the original in its text."""
 
     def __init__(self, function: Callable[..., Any], counts: Counts, inside: list[bool]) -> None:
         self._function, self._counts, self._inside = function, counts, inside

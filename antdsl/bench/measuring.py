@@ -1,4 +1,4 @@
-"""Takes a job through set-up and steps in this process: several backends in turn, and the frame written by hand."""
+"""Takes a job through set-up and steps in this process: several backends in turn, and the hand-written frame."""
 
 from __future__ import annotations
 
@@ -88,14 +88,14 @@ def _measure(job: Job) -> Measured:
 
 
 def _any(name: str) -> Any:
-    """A backend's name, which BACKENDS has been asked about."""
+    """Return the name of a backend, already looked up in `BACKENDS`, without its type."""
     return name
 
 
 @contextmanager
 def _folder_for_code() -> Iterator[None]:
-    """An empty folder keeps the machine code that is made within, and tables of meshes; what other runs have kept is not looked
-    for."""
+    """Store machine code and mesh tables in an empty folder while the context is open. Those that other runs have cached are not
+    searched."""
     before = {name: os.environ.get(name) for name in (VARIABLE, stored_tables.KIND.variable)}
     with tempfile.TemporaryDirectory(prefix="antdsl-code-") as folder:
         os.environ |= dict.fromkeys(before, folder)
@@ -113,7 +113,8 @@ def _folder_for_code() -> Iterator[None]:
 
 
 def _packages(llvm: bool) -> float:
-    """CPU seconds of this process once all is imported that steps need, what makes machine code too if it is asked for."""
+    """Return the CPU seconds of this process after the import of all packages that steps need. `llvm`: include the packages that
+    build machine code."""
     import antdsl.casting.rays
     import antdsl.runtime.backends  # noqa: F401
 
@@ -133,7 +134,7 @@ def _stepper(world: World) -> Callable[[], None]:
 
 
 def with_code(world: World) -> bool:
-    """Wait for the machine code of a world's backend, so that no step that is measured runs without. Whether there is any."""
+    """Wait for the machine code of a world's backend, so that no measured step runs without it. Return whether there is any."""
     if not isinstance(world.backend, NativeBackend):
         return False
     world.backend.have_code(world)
@@ -141,8 +142,8 @@ def with_code(world: World) -> bool:
 
 
 def _code_kept(world: World) -> tuple[float | None, list[str]]:
-    """CPU seconds until a world has machine code that another run has kept; None without any, or where nothing can be kept, with
-    sentences on why."""
+    """Return the CPU seconds in which a world loads machine code that another run has cached, and messages. The seconds are None
+    without machine code, or if it cannot be stored; the messages say why."""
     if not with_code(world):
         return None, []
     ready.forget()
@@ -153,7 +154,7 @@ def _code_kept(world: World) -> tuple[float | None, list[str]]:
 
 
 def _turns(runners: dict[str, Callable[[], None]], worlds: dict[str, World], steps: int, turns: int) -> dict[str, Cost]:
-    """So many turns of so many steps each, after WARM steps of each that are not counted."""
+    """Measure `turns` turns of `steps` steps each, after WARM uncounted steps of each runner."""
     for run in runners.values():
         for _ in range(WARM):
             run()
@@ -181,12 +182,12 @@ def _turns(runners: dict[str, Callable[[], None]], worlds: dict[str, World], ste
 
 
 def hand_written(agents: int) -> Callable[[], None]:
-    """A frame of so many foraging ants as written by hand, of a checkout's `tests/benchmarks/bound.py`. Raises FileNotFoundError
-    where there is none."""
+    """Return a hand-written frame of `agents` foraging ants, from a checkout's `tests/benchmarks/bound.py`. Raises
+    FileNotFoundError if it is missing."""
     file = benchmark_file("bound.py")
     if file is None:
         raise FileNotFoundError("the frame written by hand is part of a checkout only")
-    sys.path.append(str(file.parent))  # kernels are kept under the name that a module is found by
+    sys.path.append(str(file.parent))  # kernels are cached under the name by which Python finds their module
     try:
         module = importlib.import_module(file.stem)
     finally:
@@ -196,7 +197,7 @@ def hand_written(agents: int) -> Callable[[], None]:
 
 
 def _state_bytes(world: World) -> int:
-    """Bytes of the arrays that hold the agents; one that stands for two is counted once."""
+    """Return the bytes of the arrays that hold the agents; an array that is used twice counts once."""
     arrays: dict[int, int] = {}
     for population in world.populations.values():
         held = [population.ids, population.born, population.quarantined, population.position, population.normal]
@@ -208,7 +209,7 @@ def _state_bytes(world: World) -> int:
 
 
 def _nodes(shot: Shot) -> int:
-    """Nodes of the plan: operations that it has, each counted once a block."""
+    """Return the number of nodes of the plan: its operations, each counted once per block."""
     return sum(
         len(needed([node for _, each in statements(block) for node in operands(each)]))
         for species in shot.plan.species.values()
@@ -217,7 +218,7 @@ def _nodes(shot: Shot) -> int:
 
 
 def neighbours(world: World, sight: float) -> float:
-    """How many others stand within `sight` mm of an agent, in the mean."""
+    """Return the mean number of other agents within `sight` mm of an agent."""
     from scipy.spatial import cKDTree
 
     tree = cKDTree(np.concatenate([population.position for population in world.populations.values()]))
@@ -225,12 +226,13 @@ def neighbours(world: World, sight: float) -> float:
 
 
 def frames_of_run(step: float) -> int:
-    """How many frames of a run to measure where a bare step takes so many seconds: about two seconds, within limits."""
+    """Return how many frames of a run to measure, where a bare step takes `step` seconds: about two seconds' worth, within
+    limits."""
     return min(max(int(2.0 / max(8.0 * step, 1e-6)), _FEWEST_FRAMES), _MOST_STEPS)
 
 
 def _full_run(shot: Shot, options: Options, frames: int) -> FullRun:
-    """So many frames of a run after WARM, then as many steps of the same world that nothing writes."""
+    """Measure `frames` frames of a run after WARM, then the same number of steps of the same world without writing."""
     from antdsl.outputs.recording import begin, record
     from antdsl.scene.values import parse_frames
 

@@ -1,4 +1,4 @@
-"""Programs and scenes of the cases that are no examples: text, with the size of the crowd's place to be put in."""
+"""Generated programs and scenes of the cases that are not examples: texts with a placeholder for the size of the crowd's area."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ species person {
 }
 """
 
-# What ants on grids do: two scents, by the nine cells around; nothing stands in the way, and nobody keeps apart.
+# Ants on grids: two scents, read from the nine cells around; no obstacles, and agents do not avoid each other.
 TRAILS = """ant 1
 "Ants on flat ground that find food by one scent and the nest by another."
 use steering
@@ -106,14 +106,14 @@ def plane_scene(species: str, agents: int, radius: float) -> str:
 
 
 def flat_ground(side: float) -> str:
-    """A square of two triangles about zero, `side` mm wide, as PLY."""
+    """Return a square of two triangles centred on the origin, `side` mm wide, as PLY."""
     head = "ply\nformat ascii 1.0\nelement vertex 4\n" + "".join(f"property float {axis}\n" for axis in "xyz")
     corners = "".join(f"{x * side / 2:g} 0 {z * side / 2:g}\n" for x, z in ((-1, -1), (-1, 1), (1, 1), (1, -1)))
     return f"{head}element face 2\nproperty list uchar int vertex_indices\nend_header\n{corners}3 0 1 2\n3 0 2 3\n"
 
 
 def trails_scene(agents: int) -> str:
-    """So many ants out of one nest on a square metre, which has 200 x 200 cells of scent, as krABMaga's example."""
+    """Return a scene of `agents` ants from one nest on a square metre with 200 x 200 scent cells, as in krABMaga's example."""
     return f"""antdsl: 1
 units: mm
 fps: 24
@@ -129,5 +129,5 @@ crowd: [{{species: ant, from: ant.ant, count: {agents}, place: {{on: ground, rad
 
 
 def seen_radius(agents: int, sight: float = SIGHT) -> float:
-    """Radius (mm) of the disc in which so many see about nine others each within `sight`."""
+    """Return the radius (mm) of the disc in which each of `agents` agents has about nine others within `sight`."""
     return sight * sqrt(agents / NEIGHBOURS)

@@ -1,6 +1,6 @@
-"""Ratios of costs that were measured in turn, with where they lie with 95 %.
+"""Ratios of costs that were measured in turn, with their 95 % intervals.
 
-Two runs side by side meet the same machine, so that a ratio says something where a time does not."""
+Two runs in turn meet the same machine load, so their ratio is meaningful where a single time is not."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from statistics import fmean
 from typing import TypeVar
 
-LEAST_PAIRS = 20  # of which a ratio is told with its interval
+LEAST_PAIRS = 20  # pairs from which a ratio is reported with its interval
 _RESAMPLED = 10_000
 T = TypeVar("T")
 
@@ -27,13 +27,13 @@ class Ratio:
         return f"{self.mean:.3f} ({self.low:.3f} to {self.high:.3f})"
 
     def above(self, most: float) -> bool:
-        """Whether the whole interval lies above a ratio: slower than that, and not by chance."""
+        """Return whether the whole interval lies above a ratio: slower than that, and not by chance."""
         return self.low > most
 
 
 def interval(ratios: Sequence[float], seed: int = 1) -> Ratio:
-    """The mean of some ratios, with the 2.5th and 97.5th percentile of means of as many drawn from them with replacement
-    (bootstrap: B. Efron, Annals of Statistics 7, 1979). The same ratios give the same interval. Raises ValueError for none."""
+    """Return the mean of some ratios, with the 2.5th and 97.5th percentile of bootstrap means (B. Efron, Annals of Statistics 7,
+    1979). The same ratios give the same interval. Raises ValueError for none."""
     if not ratios:
         raise ValueError("no ratios were measured")
     draw = random.Random(seed)
@@ -42,8 +42,8 @@ def interval(ratios: Sequence[float], seed: int = 1) -> Ratio:
 
 
 def in_turn(measure: Callable[[int], T], runners: int, count: int, warm: int = 1) -> list[tuple[T, ...]]:
-    """What runners 0, 1, … cost, so many times in turn; who is first changes from turn to turn. `warm` runs of each before are
-    not counted: they fill caches."""
+    """Measure the cost of runners 0, 1, … in turn, `count` times; the runner that starts changes from turn to turn. `warm` runs
+    of each before are not counted: they fill caches."""
     for _ in range(warm):
         for runner in range(runners):
             measure(runner)

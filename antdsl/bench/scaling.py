@@ -1,4 +1,4 @@
-"""A setting with more or fewer agents, as dense as before or all in one place."""
+"""A setting with more or fewer agents, at the same density or all in one place."""
 
 from __future__ import annotations
 
@@ -10,8 +10,9 @@ from antdsl.scene.setting import Point, Setting
 
 
 def scaled(setting: Setting, agents: int) -> Setting:
-    """The setting with so many agents in all, lengths of the world scaled about its zero so that their density stays: meshes,
-    places of items and crowds, curves. Sizes of agents and items, cells of fields and radii of behaviours stay.
+    """Return the setting with `agents` agents in total, with lengths of the world scaled about its origin so that density stays
+    equal. Meshes, positions of items and crowds, and curves are scaled. Sizes of agents and items, cells of fields and radii of
+    behaviours are not.
 
     Raises ValueError for a world with solids, flows, maps or moving things."""
     if setting.solids or setting.flows or setting.maps or any((setting.moves.meshes, setting.moves.items, setting.moves.curves)):
@@ -43,7 +44,7 @@ def scaled(setting: Setting, agents: int) -> Setting:
 
 
 def gathered(setting: Setting, share: float) -> Setting:
-    """The setting with every crowd of a radius in so much of its area, around the same place."""
+    """Return the setting with every crowd that has a radius in `share` of its area, around the same point."""
     crowds = tuple(
         replace(crowd, place=replace(crowd.place, radius=crowd.place.radius * share**0.5)) if crowd.place.radius else crowd
         for crowd in setting.crowds

@@ -1,4 +1,4 @@
-"""What was measured as words: rows for a terminal or a page, and plain values for JSON."""
+"""Formats measurements: rows for a terminal or a page, and plain values for JSON."""
 
 from __future__ import annotations
 
@@ -22,19 +22,20 @@ PACKAGES = ("numpy", "scipy", "llvmlite", "open3d", "open3d-cpu")
 
 @dataclass(frozen=True, slots=True)
 class Result:
-    """A case with so many agents: one measured process for each backend, and one in which all of several took turns."""
+    """A case with one number of agents: one measured process for each backend, and one process in which several backends took
+    turns."""
 
     alone: tuple[Measured, ...]
     together: Measured | None = None
 
 
 def ratio_text(ratios: Sequence[float]) -> str:
-    """The mean; with its interval where there were enough turns for one."""
+    """Return the mean, with its interval if there are enough turns for one."""
     return str(interval(ratios)) if len(ratios) >= LEAST_PAIRS else f"{mean(ratios):.2f} ({len(ratios)} turns)"
 
 
 def backend_of(measured: Measured) -> str:
-    """The backend that a process with one has measured."""
+    """Return the backend of a process that measured only one."""
     return measured.job.backends[0]
 
 
@@ -47,15 +48,15 @@ HEADS = (
 
 
 def set_up_of(found: Measured) -> list[str]:
-    """What SET_UP names, nothing for what there is none of."""
+    """Return the values that SET_UP names; empty for those that do not exist."""
     one = found.set_up
     seconds = (one.start, one.compile, one.bind, one.first, one.code, one.kept, one.second)
     return ["" if each is None else f"{each:.2f}" if each >= 0.1 else f"{each:.4f}" for each in seconds]
 
 
 def full_run_of(found: Measured) -> list[str]:
-    """CPU and wall milliseconds and frames a second of a run, CPU milliseconds of its step and feet; nothing where none was
-    measured."""
+    """Return CPU and wall milliseconds and frames per second of a run, and CPU milliseconds of its step and feet. Entries are
+    empty if no run was measured."""
     run = found.full_run
     if run is None:
         return [""] * 5
@@ -64,7 +65,8 @@ def full_run_of(found: Measured) -> list[str]:
 
 
 def whole_step(result: Result) -> list[list[str]]:
-    """A row of HEADS for each backend. Bytes are those of what is kept of the agents; `grew by` is told of the process."""
+    """Return a row of `HEADS` for each backend. Bytes are those of the stored values of agents; `grew by` refers to the whole
+    process."""
     rows = []
     for found in result.alone:
         name = backend_of(found)
@@ -87,7 +89,7 @@ def whole_step(result: Result) -> list[list[str]]:
 
 
 def phases(result: Result) -> tuple[list[str], list[list[str]]]:
-    """Heads and rows of CPU and wall milliseconds by phase, the dearest of the first backend first."""
+    """Return column names and rows of CPU and wall milliseconds by phase, sorted by the cost on the first backend."""
     heads = ["phase"]
     for found in result.alone:
         heads += [f"{backend_of(found)}: CPU ms", "wall ms"]
@@ -114,13 +116,13 @@ def between(result: Result) -> list[str]:
 
 
 def told(result: Result) -> list[str]:
-    """What was otherwise than asked, each line once."""
+    """Return the messages about deviations from the request, each line once."""
     measured = [*result.alone, *([] if result.together is None else [result.together])]
     return list(dict.fromkeys(line for each in measured for line in each.told))
 
 
 def about(result: Result) -> str:
-    """The case, its agents and what else is known of it."""
+    """Return the case, its agents and what else is known of it."""
     found = result.alone[0]
     case = CASES.get(found.job.case)
     words = [f"{found.job.case}, {found.agents:,} {'agent' if found.agents == 1 else 'agents'}"]
@@ -166,7 +168,7 @@ def markdown(heads: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
 
 
 def machine() -> dict[str, str]:
-    """Names to words: date, machine, system, versions."""
+    """Return a description of the machine, by name: date, machine, system, versions."""
     found = {
         "date": datetime.date.today().isoformat(),
         "machine": f"{processor()}, {os.cpu_count()} cores",

@@ -1,1 +1,1 @@
-"""What agents, food and nests look like: small meshes made from numbers; and the capsules that trunks take room by."""
+"""Shapes of agents, food and nests: small procedural meshes; and the collision capsules of trunks."""

@@ -1,4 +1,4 @@
-"""Turns that stand bodies on the ground, and normals of meshes."""
+"""Rotations that stand bodies on the ground, and normals of meshes."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,10 +21,10 @@ def vertex_normals(vertices: Array, faces: NDArray[np.int32]) -> NDArray[np.floa
 
 
 def orientation(heading: Array, up: Array) -> Array:
-    """Quaternions (n, 4) as x, y, z, w that turn +x to `heading` (n, 3) and +y to `up` (n, 3).
+    """Return quaternions (n, 4) as x, y, z, w that rotate +x to `heading` (n, 3) and +y to `up` (n, 3).
 
-    `up` wins: the heading is first laid flat against it. Where the two give no frame (zero or parallel)
-    any level heading is taken."""
+    `up` is exact: the heading is first projected onto the plane perpendicular to it. If the two define no frame (zero or
+    parallel), any perpendicular heading is used."""
     up = unit_or(up, np.array([0.0, 1.0, 0.0]))
     ahead = heading - up * (heading * up).sum(axis=1, keepdims=True)
     level = np.cross(up, np.where(np.abs(up[:, :1]) < 0.9, np.array([[1.0, 0.0, 0.0]]), np.array([[0.0, 0.0, 1.0]])))
@@ -54,7 +54,8 @@ def rotation(orient: Array) -> Array:
 
 
 def _quaternion(m: Array) -> Array:
-    """Of rotation matrices (n, 3, 3), from the largest of the four components, so that none is divided by a small one."""
+    """Return quaternions of rotation matrices (n, 3, 3). Starts from the largest of the four components, so that no divisor is
+    small."""
     xx, yy, zz = m[:, 0, 0], m[:, 1, 1], m[:, 2, 2]
     squares = np.stack([1 + xx - yy - zz, 1 - xx + yy - zz, 1 - xx - yy + zz, 1 + xx + yy + zz], axis=1)
     a, b, c = m[:, 2, 1] - m[:, 1, 2], m[:, 0, 2] - m[:, 2, 0], m[:, 1, 0] - m[:, 0, 1]

@@ -1,5 +1,5 @@
-"""The bodies that a scene's crowd wears: agent definitions from files, held against what the species play, and what a run needs
-of them: the clips' lengths, strides and marks, and the room that each body takes."""
+"""The bodies of a scene's crowd: agent definitions from files, checked against what the species play. Also what a run needs of
+them: clip lengths, strides and marks, and the collision size of each body."""
 
 from __future__ import annotations
 
@@ -31,8 +31,10 @@ _SHOWN = 12  # names in a message
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CrowdBodies:
-    """By species: `definitions` of those whose body is a file (one for all that name the same file) and the `rooms` that these
-    take; `clips` of all; `legs` of those that have some, with gaits. `hashes`: of the content of each file, by its path in the
+    """Bodies by species.
+
+    `definitions`: of species with a body file (one object for all that name the same file). `rooms`: the space that these occupy.
+    `clips`: of all species. `legs`: of species with legs and gaits. `hashes`: content hash of each file, by its path in the
     scene."""
 
     definitions: Mapping[str, Definition] = field(default_factory=dict)
@@ -43,8 +45,8 @@ class CrowdBodies:
 
 
 class Walkers(Mapping[str, LegsData]):
-    """The legs of species whose body has some, with gaits; `bodies`: by species, a definition or the name of one of the library.
-    Worked out where they are asked for: most commands never do."""
+    """The legs of species with a body that has legs and gaits. `bodies`: by species, a definition or the name of one of the
+    library. The legs are computed on first access: most commands do not need them."""
 
     def __init__(self, bodies: Mapping[str, Definition | str]) -> None:
         self._bodies = bodies
@@ -65,8 +67,8 @@ class Walkers(Mapping[str, LegsData]):
 
 
 def crowd_bodies(scene: Scene, program: Program) -> tuple[CrowdBodies, Report]:
-    """The bodies of a scene's crowd, from files and from the library, and what does not fit: at their places in the scene, with
-    a label where the program asks for what is missing."""
+    """Return the bodies of a scene's crowd, from files and from the library, and a report of what does not match. Findings are at
+    the body's place in the scene, with a label where the program uses what is missing."""
     report = Report()
     files: dict[str, Definition | None] = {}
     named = _named(scene)
@@ -104,7 +106,7 @@ def crowd_bodies(scene: Scene, program: Program) -> tuple[CrowdBodies, Report]:
 
 
 def _wears(scene: Scene, program: Program, worn: Mapping[str, Definition], report: Report) -> None:
-    """Complains of layers that lines of the crowd wear and their body does not have, and of more than can be told apart."""
+    """Report layers that crowd lines wear and their body does not have, and more layers than can be distinguished."""
     layers: dict[str, set[str]] = {}
     for number, line in enumerate(scene.model.crowd):
         if line.species not in program.species:
@@ -127,15 +129,15 @@ def _wears(scene: Scene, program: Program, worn: Mapping[str, Definition], repor
 
 
 def clip_data(clip: Clip, body: Definition) -> ClipData:
-    """What a run needs to know of a clip: seconds, body lengths and turns."""
+    """Return a clip's data for a run, in seconds, body lengths and cycles."""
     seconds = clip.duration
     marks = {name: moment / seconds if seconds > 0 else 0.0 for name, moment in clip.marks.items()}
     return ClipData(seconds, clip.stride / body.length, clip.loop, marks)
 
 
 def room_of(body: Definition) -> RoomData:
-    """The room that a body takes: as long and wide as the box of its layer `collision` in the rest pose, or where it has none of
-    what it always shows, and never shorter than wide."""
+    """Return the collision size of a body: length and width of the box of its layer `collision` in the rest pose. Without that
+    layer, the layer that it always shows is used. The length is never less than the width."""
     layer = body.layers.get(COLLISION) or own_layer(body)
     least, most = rest_box(replace(body, layers={layer.name: layer}))
     corners = np.array([[(least, most)[k >> axis & 1][axis] for axis in range(3)] for k in range(8)])
@@ -147,14 +149,14 @@ def room_of(body: Definition) -> RoomData:
 
 
 def _library(scene: Scene, program: Program) -> dict[str, str]:
-    """The body of the library that each species has whose body is no file."""
+    """Return the library body of each species that has no body file."""
     named = _named(scene)
     words = {name: named[name][0] if name in named else body_of(name) for name in program.species}
     return {name: text for name, text in words.items() if text in BODY_WORDS}
 
 
 def _named(scene: Scene) -> dict[str, tuple[str, Span]]:
-    """The body that each species' first line with one names, else the one of the library that suits its name."""
+    """Return the body of each species: from its first crowd line that names one, else the library body that matches its name."""
     found: dict[str, tuple[str, Span]] = {}
     for number, line in enumerate(scene.model.crowd):
         if line.body is not None:
@@ -165,9 +167,9 @@ def _named(scene: Scene) -> dict[str, tuple[str, Span]]:
 
 
 def _check(species: Species, body: Definition, text: str, place: Span, report: Report, by_name: bool = False) -> None:
-    """Complains of the clips, transform groups and marks that a species wants and its body does not have. `by_name`: no line says
-    which body, so that it is the one that suits the name."""
-    lacks: dict[str, tuple[str, Label]] = {}  # what to do about each, and where it is wanted
+    """Report the clips, transform groups and marks that a species needs and its body lacks. `by_name`: no line names a body, so
+    it was chosen by the species' name."""
+    lacks: dict[str, tuple[str, Label]] = {}  # help text and place of each missing name
 
     def want(what: str, name: str, known: Iterable[str], label: Label) -> None:
         names = sorted(set(known))
@@ -208,8 +210,8 @@ def _check(species: Species, body: Definition, text: str, place: Span, report: R
 
 
 def _marks_elsewhere(species: Species, body: Definition) -> Iterator[tuple[str, str, Label]]:
-    """Marks that a state waits for, which other clips of the body have and the one that it plays does not: what is lacking, what
-    to do, and where it is asked for."""
+    """Yield the marks that a state waits for, and that other clips of the body have but the state's clip does not. Each comes
+    with a message, a help text and its place."""
     having: dict[str, list[str]] = {}
     for clip in body.clips.values():
         for mark in clip.marks:

@@ -37,14 +37,13 @@ _GOLDEN = (5**0.5 - 1) / 2  # multiples of it are spread evenly over a turn
 
 
 class PosedBody:
-    """Length 1 along +x (where it heads), up +y, posed by what each agent plays.
+    """A body of length 1 along +x (its heading), up +y, posed by the clips that each agent plays.
 
-    `faces` int32[m, 3]; `own` float32[v, 3], linear colours of materials; `tint` float32[v]: 1 takes the agent's colour, as
-    does what has no material or one called `state`, 0 its material's; `material` [v]: names; `taken` int[v]: which point each
-    vertex is, counted through the shapes of all `bindings`. Drawn are the shapes of its own layer, `body` where there
-    is one so called, else the first that is not called `collision`, and of `layers` beside it; those that it does not have are
-    passed over. `fine` is for agents that are large in a picture, `coarse` for those that are small, `distant` for those of some
-    pixels."""
+    `faces` int32[m, 3]. `own` float32[v, 3]: linear colours of materials. `tint` float32[v]: 1 takes the agent's colour, 0 that
+    of the material; no material, or one named `state`, gives 1. `material` [v]: names. `taken` int[v]: the point of each vertex,
+    counted through the shapes of all `bindings`. Drawn are the shapes of its base layer and of `layers`; those that it does not
+    have are ignored. The base layer is `body` if it exists, else the first not called `collision`. `fine` is for agents that are
+    large in a picture, `coarse` for small ones, `distant` for those of some pixels."""
 
     def __init__(self, definition: Definition, clips: Sequence[tuple[str, str] | Played], layers: Sequence[str] = ()) -> None:
         self.clips, self.layers, self._whole, self.name = tuple(clips), tuple(layers), definition, definition.name
@@ -70,19 +69,19 @@ class PosedBody:
         self.material = np.concatenate([np.zeros(0, "U1"), *(part[4] for part in parts)])
 
     def colours(self, driven: Driven) -> Floats:
-        """Linear colours of materials float32[n, v, 3] of agents, [1, v, 3] where all have the same."""
+        """Return linear colours of materials float32[n, v, 3] of agents, or [1, v, 3] if all have the same."""
         return colours_of(self._definition.variation, driven.draws, self.material, self.own)
 
     @cached_property
     def reach(self) -> float:
-        """How far the box of the rest pose reaches from the origin, in body lengths."""
+        """Return the distance of the farthest point of the rest pose's box from the origin, in body lengths."""
         drawn = Layer(BODY, tuple(b for b in self._bindings if not b.deformer), tuple(b for b in self._bindings if b.deformer))
         low, high = rest_box(replace(self._definition, layers={BODY: drawn}))
         return float(np.linalg.norm(np.maximum(np.abs(low), np.abs(high)))) / self._whole.length
 
     @cached_property
     def fine(self) -> PosedBody:
-        """The same for agents that are large in a picture: what the layer `close` has, where there is one."""
+        """Return the version for agents that are large in a picture: with the layer `close`, if it exists."""
         close = self._whole.layers.get(CLOSE)
         if close is None:
             return self
@@ -91,20 +90,20 @@ class PosedBody:
 
     @cached_property
     def coarse(self) -> PosedBody:
-        """The same with fewer triangles, for agents that are small in a picture; with a layer `close` the layer `body` has few
-        enough."""
+        """Return the version with fewer triangles, for agents that are small in a picture. If there is a layer `close`, the layer
+        `body` is coarse enough as it is."""
         return self if CLOSE in self._whole.layers else PosedBody(coarse(self._whole), self.clips, self.layers)
 
     @cached_property
     def distant(self) -> PosedBody:
-        """The same with the fewest triangles, for agents of some pixels."""
+        """Return the version with the fewest triangles, for agents of a few pixels."""
         layers = {name: layer for name, layer in self._whole.layers.items() if name != CLOSE}
         drawn = _needed(self._whole, {binding.shape for layer in layers.values() for binding in _all(layer)})
         return PosedBody(coarse(replace(self._whole, layers=layers, shapes=drawn)), self.clips, self.layers)
 
     def idling(self, ids: NDArray[Any], seconds: float) -> tuple[MachineClips, ...]:
-        """What agents with these ids play where no machine says otherwise: the definition's clip for that, each from a start of
-        its own, `seconds` from frame 0; none where there is no such clip."""
+        """Return what agents with these ids play by default: the definition's idle clip, each with a different start, `seconds`
+        from frame 0. Empty if there is no such clip."""
         clip = self._whole.clips.get(self._whole.idle)
         if clip is None or clip.duration <= 0:
             return ()
@@ -120,7 +119,8 @@ class PosedBody:
 
     @cached_property
     def masks(self) -> NDArray[np.uint64]:
-        """Which of `layers` show each vertex, uint64[v]: bit k for the one numbered k; 0 for what is shown always."""
+        """Return which of `layers` show each vertex, uint64[v]: bit k for layer number k; 0 for vertices that are always
+        shown."""
         own, layers = own_layer(self._whole), self._whole.layers
         found = []
         for binding in self._bindings:
@@ -132,7 +132,7 @@ class PosedBody:
 
     @cached_property
     def legs(self) -> Legs | None:
-        """What its feet stand on; None for a body without legs."""
+        """Return the legs that place its feet; None for a body without legs."""
         return Legs(self._whole) if self._whole.legs else None
 
     @property
@@ -142,7 +142,7 @@ class PosedBody:
 
     @property
     def shaded(self) -> Definition:
-        """The same with what is drawn alone, and normals for all of it."""
+        """Return the definition with only the drawn shapes, all of them with normals."""
         return self._definition
 
     @property
@@ -164,8 +164,8 @@ class PosedBody:
         driven: Driven = NOTHING,
         local: bool = False,
     ) -> Poses:
-        """Transforms and channels of `count` agents that play what their machines say and show what is `driven`, in the
-        definition's space, `local` too; with `feet` legs are bent to where these are, and trunks moved with them."""
+        """Return transforms and channels of `count` agents, in the definition's space; `local` adds local ones. Agents play what
+        their machines select, with the values in `driven`. With `feet`, legs bend to reach these, and trunks move with them."""
         playing = machines_playing(self._table, self._played, machines, count, driven.lean)
         poses = posed(self._table, self._definition.groups, playing, local=local, threads=threads)
         poses = with_channels(self._table, poses, driven.channels)
@@ -200,14 +200,14 @@ class PosedBody:
 
 
 def own_layer(definition: Definition) -> Layer:
-    """The layer that a body always shows; none has no shapes."""
+    """Return the layer that a body always shows; without one, a layer that has no shapes."""
     layers = definition.layers
     worn = [layer for name, layer in layers.items() if name != COLLISION]
     return layers.get(BODY) or next(iter(worn), Layer(BODY))
 
 
 def _needed(definition: Definition, names: Iterable[str]) -> dict[str, Shape]:
-    """Shapes by name, and those that they are blended with."""
+    """Return shapes by name, and the shapes they blend with."""
     found: dict[str, Shape] = {}
     left = list(names)
     while left:
@@ -219,7 +219,8 @@ def _needed(definition: Definition, names: Iterable[str]) -> dict[str, Shape]:
 
 
 def _bindings(definition: Definition, layers: Sequence[str]) -> tuple[Binding, ...]:
-    """What is shown of a body with some layers beside its own: each binding once, in the order of the definition's layers."""
+    """Return the bindings of a body with some layers in addition to its own: each binding once, in the order of the definition's
+    layers."""
     own = own_layer(definition)
     worn = (own, *(layer for name, layer in definition.layers.items() if name in layers and layer is not own))
     return tuple(dict.fromkeys(binding for layer in worn for binding in _all(layer)))
@@ -238,8 +239,8 @@ def _with_normals(shape: Shape) -> Shape:
 def _parted(
     shape: Shape, colours: Mapping[str, tuple[float, float, float]]
 ) -> tuple[NDArray[np.int64], NDArray[np.int32], NDArray[np.float32], NDArray[np.float32], NDArray[np.str_]]:
-    """The vertices of a shape, one for each material that has triangles at it: which point each is, triangles of these, linear
-    colours, tints and names of materials."""
+    """Return the vertices of a shape, split by material: point of each vertex, triangles of vertices, linear colours, tints and
+    material names."""
     material = np.zeros(len(shape.faces), np.int64) if shape.material is None else shape.material.astype(np.int64)
     names = shape.materials or ("",)
     pairs = shape.faces.astype(np.int64) * len(names) + material[:, None]
@@ -252,7 +253,7 @@ def _parted(
 
 
 def coarse(definition: Definition) -> Definition:
-    """The definition with fewer points. Shapes still follow joints by its deformers, and are blended no more."""
+    """Return the definition with fewer points. Shapes still follow joints by its deformers, but are no longer blended."""
     cell = definition.length / CELLS
     shapes = {name: coarse_shape(shape, cell) for name, shape in definition.shapes.items()}
     layers = {
@@ -263,8 +264,9 @@ def coarse(definition: Definition) -> Definition:
 
 
 def coarse_shape(shape: Shape, cell: float) -> Shape:
-    """A shape whose points in one cell are their mean, and follow the joints of the first of them; triangles that have two
-    corners in one cell are left out. Its box stays as large, so that it is not thinner."""
+    """Return a shape in which the points of each cell are replaced by their mean, which follows the joints of the first of them.
+    Triangles with two corners in one cell are left out. The bounding box keeps its size, so that the shape does not get
+    thinner."""
     if not len(shape.points):
         return shape
     size = min(cell, float(np.ptp(shape.points, axis=0).max()) / ACROSS) or cell

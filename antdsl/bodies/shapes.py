@@ -80,7 +80,8 @@ def _ring() -> Painted:
 
 
 def _mound() -> Painted:
-    """A low ring of loose soil with a dark hole, as ants throw it up around their door; lower than an ant: none is buried."""
+    """Return a low ring of loose soil with a dark hole, as ants pile it up around a nest entrance. It is lower than an ant, so
+    that none is buried."""
     rings, around = 22, 40
     reach = np.linspace(0, 1.25, rings)
     turn = np.arange(around) * 2 * np.pi / around
@@ -108,7 +109,7 @@ def _crumb() -> Painted:
     draw = np.random.Generator(np.random.Philox(71))
     ways = draw.normal(size=(13, 3))
     ways /= np.linalg.norm(ways, axis=1, keepdims=True)
-    # Broken off by planes whose edges are worn.
+    # The shape is cut by planes with worn edges.
     cut = (vertices @ ways.T) / draw.uniform(0.66, 0.92, 13)
     size = np.minimum(1.0, 1 / np.maximum((np.maximum(cut, 0) ** 14).sum(axis=1) ** (1 / 14), 1e-9))
     rough = waves(vertices, 72, 0.75, 3)
@@ -123,7 +124,7 @@ def _crumb() -> Painted:
 
 
 def _cube() -> Painted:
-    """A lump of sugar: a block with worn edges, of grains."""
+    """Return a lump of sugar: a grainy block with worn edges."""
     vertices, faces = sphere(5)
     norm = (np.abs(vertices) ** 9).sum(axis=1) ** (1 / 9)
     grain = waves(vertices, 81, 0.09, 2)
@@ -179,7 +180,7 @@ def placed(shape: str) -> Painted:
 
 
 def shape_of(kind: str, name: str) -> str:
-    """The shape that suits items called `kind` (`food`, `nest`) of this `name` (`apple`)."""
+    """Return the shape that suits items of a `kind` (`food`, `nest`) with this `name` (`apple`)."""
     return next((shape for text in (name, kind) for word, shape in _WORDS if word in text.lower()), "sphere")
 
 
@@ -203,7 +204,8 @@ def sphere(detail: int = 2) -> Mesh:
 def waves(
     points: NDArray[np.float64], seed: int, wavelength: float, octaves: int, *, fade: float = 0.5, count: int = 7
 ) -> NDArray[np.float64]:
-    """Smooth noise of about unit size at `points` (n, d): sines in random directions, an octave half as long, `fade` as high."""
+    """Return smooth noise of about unit size at `points` (n, d): a sum of sines in random directions. Each octave has half the
+    wavelength and `fade` times the height of the one before."""
     draw = np.random.Generator(np.random.Philox(seed))
     total = np.zeros(len(points))
     for octave in range(octaves):

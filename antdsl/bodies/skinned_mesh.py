@@ -24,9 +24,9 @@ Matrix = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SkinnedMesh:
-    """Linear skinning alone: `points` float32[v, 3] and `normals` float32[v, 3] in the rest pose, in the definition's units;
-    `bones` int32[v, 4] and `weights` float32[v, 4], which add up to 1. A bone is a joint (`joint` int32[B], by number in the rig)
-    and what takes a point of the rest pose into its space (`inverse` float32[B, 3, 4])."""
+    """A mesh for linear skinning only. `points` float32[v, 3] and `normals` float32[v, 3] in the rest pose, in the definition's
+    units; `bones` int32[v, 4] and `weights` float32[v, 4], which add up to 1. Each of B bones has a `joint` int32[B], its number
+    in the rig, and an `inverse` float32[B, 3, 4] from the rest pose into its space."""
 
     points: NDArray[np.float32]
     normals: NDArray[np.float32]
@@ -37,11 +37,12 @@ class SkinnedMesh:
 
 
 def skinned_mesh(definition: Definition, bindings: Sequence[Binding], taken: NDArray[np.integer]) -> SkinnedMesh:
-    """The mesh of some bindings, whose shapes have normals; `taken` int[v]: which vertices, counted through all of them.
+    """Return the mesh of some bindings; their shapes must have normals. `taken` int[v]: the selected vertices, counted through
+    all bindings.
 
-    A static shape follows its joint alone. Of a point that follows more than four joints the four of most weight are kept. Other
-    deformers than linear skinning are not applied: dual quaternions become linear, and blend shapes stay as their base is:
-    `blend_targets` has what is added to that."""
+    A static shape follows its joint only. For a point that follows more than four joints, the four with the largest weights
+    remain. Deformers other than linear skinning are not applied: dual quaternions become linear, and blend shapes stay at their
+    base. `blend_targets` has the differences from that base."""
     found = _Bones(definition)
     parts = [(_captured if _skins(each) else _static)(definition, each, found) for each in bindings]
     none = np.zeros((0, 3), np.float32)
@@ -65,7 +66,7 @@ class _Part:
 
 
 class _Bones:
-    """The bones that were asked for so far, each once."""
+    """The bones that were requested so far, each once."""
 
     def __init__(self, definition: Definition) -> None:
         self.rest = world_matrices(definition.rig.parents, definition.rig.rest)
@@ -86,7 +87,8 @@ def _skins(binding: Binding) -> bool:
 
 
 def _static(definition: Definition, binding: Binding, found: _Bones) -> _Part:
-    """A shape that a joint carries, moved to where it is in the rest pose, so that it shares the bone of those skinned there."""
+    """Return a static shape of a joint, moved to its place in the rest pose. It then shares the bone of shapes skinned to that
+    joint."""
     shape = definition.shapes[binding.shape]
     points, normals = shape.points.astype(np.float64), _normals(shape).astype(np.float64)
     bones = np.zeros((len(points), MOST_JOINTS), np.int32)
@@ -106,7 +108,7 @@ def _static(definition: Definition, binding: Binding, found: _Bones) -> _Part:
 
 
 def _captured(definition: Definition, binding: Binding, found: _Bones) -> _Part:
-    """A shape whose points follow joints of their own."""
+    """Return a shape in which each point follows its own joints."""
     shape = definition.shapes[binding.shape]
     capture = shape.capture
     if capture is None:
@@ -119,7 +121,7 @@ def _captured(definition: Definition, binding: Binding, found: _Bones) -> _Part:
 
 
 def _four(capture: Capture) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
-    """The joints of most weight of each point, and their weights."""
+    """Return the joints with the largest weights of each point, and their weights."""
     joints, weights = capture.joints, capture.weights
     if joints.shape[1] < MOST_JOINTS:
         wide = ((0, 0), (0, MOST_JOINTS - joints.shape[1]))
@@ -136,8 +138,8 @@ def _normals(shape: Shape) -> NDArray[np.float32]:
 
 @dataclass(frozen=True, slots=True)
 class Target:
-    """A piece of the way of one input: the channel that weighs it, the weights at which the input has shapes of its own, and
-    which of these shapes it is."""
+    """One shape of an input: the channel that weights the input, the weights at which the input has shapes, and the index of this
+    shape."""
 
     channel: str
     knots: tuple[float, ...]
@@ -147,9 +149,8 @@ class Target:
 def blend_targets(
     definition: Definition, bindings: Sequence[Binding], taken: NDArray[np.integer]
 ) -> dict[Target, NDArray[np.float32]]:
-    """What each target adds at its whole weight to the rest pose of a skinned mesh, float32[v, 6]: to points and to normals.
-    Those of shapes that are blended before anything else deforms them; `taken` int[v]: which vertices, counted
-    through all bindings."""
+    """Return what each target adds at weight 1 to the rest pose of a skinned mesh, float32[v, 6]: to points and to normals. Only
+    shapes with blending as their first deformer count. `taken` int[v]: the vertices to include, numbered through all bindings."""
     sizes = [len(definition.shapes[each.shape].points) for each in bindings]
     starts = np.cumsum([0, *sizes])
     found: dict[Target, NDArray[np.float32]] = {}
@@ -185,7 +186,7 @@ def _offsets(
 
 
 def weights_of(targets: Sequence[Target], rig: Rig, channels: Floats) -> Floats:
-    """How much of each of K targets n agents have whose channels are float32[n, C]: float32[n, K]."""
+    """Return the weights float32[n, K] of K targets for n agents with channel values `channels` float32[n, C]."""
     found = np.zeros((len(channels), len(targets)), np.float32)
     for k, target in enumerate(targets):
         found[:, k] = shares_of(channels[:, rig.channel(target.channel)], np.array(target.knots))[target.place]
@@ -193,8 +194,8 @@ def weights_of(targets: Sequence[Target], rig: Rig, channels: Floats) -> Floats:
 
 
 def of_channels(definition: Definition) -> Definition:
-    """The definition with its channels alone: one joint that does not move, and clips that have values of channels. Its poses
-    have the channels that those of the definition have."""
+    """Return the definition reduced to its channels: one static joint, and clips with only channel values. Its poses have the
+    same channels as the definition's."""
 
     def valued(clip: Clip) -> Clip:
         empty = np.zeros((clip.samples, 0, 3), np.float32)

@@ -1,4 +1,4 @@
-"""Curves drawn by an artist: resampled evenly, and asked for the nearest point and the way that it leads there."""
+"""Curves drawn by an artist: evenly resampled, with queries for the nearest point and its tangent."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _NEAR = 6  # samples looked at first: settles all but those who stand far from a
 
 @dataclass(frozen=True, slots=True)
 class CurvePoints:
-    """The nearest point of a curve to each asker: distance and place (mm), and the unit tangent, all float32[n]."""
+    """The nearest point of a curve to each query point: distance and position (mm), and the unit tangent, all float32[n]."""
 
     distance: NDArray[np.float32]
     px: NDArray[np.float32]
@@ -29,11 +29,11 @@ class CurvePoints:
 
 
 class Curve:
-    """A polyline float64[n,3] (mm), n >= 1, cut into pieces of one length of at most `spacing` mm (all samples within a cap).
+    """A polyline float64[n,3] (mm), n >= 1, resampled into pieces of equal length, at most `spacing` mm (the sample count is
+    limited).
 
-    It points as drawn, from the first point to the last; `reverse` turns it round. ValueError when a point is not finite or
-    there is none. A curve of one point has no direction: its tangent is 0.
-    """
+    Its direction is from the first point to the last; `reverse` flips it. Raises ValueError if a point is not finite or there is
+    none. A curve of one point has no direction: its tangent is 0."""
 
     def __init__(self, points: Vectors, spacing: float, reverse: bool = False) -> None:
         points = np.asarray(points, np.float64).reshape(-1, 3)
@@ -50,11 +50,10 @@ class Curve:
         self._tree: Any = None
 
     def closest(self, x: NDArray[Any], y: NDArray[Any], z: NDArray[Any]) -> CurvePoints:
-        """Nearest points to places given as 1-D arrays; of equally near ones the first along the curve.
+        """Return the nearest points to positions given as 1-D arrays; of equally near ones the first along the curve.
 
-        Exact for the resampled curve: the nearest sample bounds the distance, and only segments within that bound plus a
-        piece can hold the nearest point. Askers that are not finite get infinity.
-        """
+        Exact for the resampled curve: the nearest sample bounds the distance. Only segments within that bound plus one piece can
+        hold the nearest point. Positions that are not finite get infinity."""
         from scipy.spatial import cKDTree
 
         if self._tree is None:
@@ -72,7 +71,7 @@ class Curve:
         return CurvePoints(*(np.ascontiguousarray(c, np.float32) for c in columns))
 
     def _on_segments(self, place: Vectors) -> tuple[Vectors, Vectors]:
-        """Nearest point and tangent, from the segments whose samples are near enough to hold it."""
+        """Return the nearest point and tangent, from the segments with samples near enough to contain it."""
         few = min(_NEAR, len(self.samples))
         gap, sample = self._tree.query(place, k=list(range(1, few + 1)))
         best = self._best(place, sample)
@@ -82,19 +81,19 @@ class Curve:
             near = self._tree.query_ball_point(place[row], reach[row])
             best[row] = self._best(place[row : row + 1], np.asarray(near, np.int64)[None])[0]
         part = self._part(place, best)[0][:, None]
-        # Between joints the tangent turns evenly, so that nobody who follows the curve jerks at a joint.
+        # Between joints the tangent turns evenly, so that agents that follow the curve do not jerk at a joint.
         tangent = self._tangent[best] * (1 - part) + self._tangent[best + 1] * part
         return self.samples[best] + part * self._step[best], unit(tangent)
 
     def _best(self, place: Vectors, sample: NDArray[np.int64]) -> NDArray[np.int64]:
-        """Nearest segment of those beside samples int[n,k], the first of equals."""
+        """Return the nearest segment of those next to samples int[n,k], the first of equals."""
         segment = np.sort(np.clip(np.concatenate([sample - 1, sample], axis=1), 0, len(self._step) - 1), axis=1)
         gaps = np.stack([self._part(place, column)[1] for column in segment.T], axis=1)
         best: NDArray[np.int64] = segment[np.arange(len(place)), gaps.argmin(axis=1)]
         return best
 
     def _part(self, place: Vectors, segment: NDArray[np.int64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """How far along its segment the nearest point to each place is (0 to 1), and the distance squared."""
+        """Return the position of the nearest point along its segment (0 to 1), and the squared distance."""
         away, step = place - self.samples[segment], self._step[segment]
         square = self._size[segment] ** 2
         along = (away[:, 0] * step[:, 0] + away[:, 1] * step[:, 1]) + away[:, 2] * step[:, 2]
@@ -104,7 +103,8 @@ class Curve:
 
 
 def resampled(points: Vectors, spacing: float) -> Vectors:
-    """Points [k,3] evenly along a polyline [n,3], its ends included, at most `spacing` apart along it (within a cap)."""
+    """Return points [k,3] at equal spacing along a polyline [n,3], both ends included. The spacing is at most `spacing`, unless
+    the point count reaches its limit."""
     step = np.sqrt((np.diff(points, axis=0) ** 2).sum(axis=1))
     keep = np.concatenate(([True], step > 0))
     points, at = points[keep], np.concatenate(([0.0], np.cumsum(step[step > 0])))

@@ -1,4 +1,5 @@
-"""How far away is the nearest triangle, at least: a coarse grid that tells in a few array passes who can touch nothing."""
+"""Lower bounds of the distance to the nearest triangle: a coarse grid that excludes agents far from all triangles in a few array
+passes."""
 
 from __future__ import annotations
 
@@ -26,7 +27,7 @@ Cells = tuple[Array1[F64], Array1[F64], Array1[I64], F64]  # where they begin an
 
 class DistanceGrid:
     """Lower bounds of the distance to a set of triangles, from their corners float64[m,3,3] (mm). `lasting`: whether another run
-    may ask for the same ones."""
+    may need the same bounds, so that they are stored."""
 
     def __init__(self, corners: NDArray[np.float64], cells: int = _CELLS, lasting: bool = True) -> None:
         self._low = corners.min(axis=(0, 1)) if len(corners) else np.zeros(3)
@@ -40,21 +41,21 @@ class DistanceGrid:
         self._least = stored_tables.stored("distance grid", size, (corners, float(cells)), work, "cells")["least"]
 
     def _bounds(self, corners: NDArray[np.float64]) -> stored_tables.Tables:
-        """The least distance of each cell from all triangles."""
+        """Return a lower bound of the distance from each cell to all triangles."""
         free = np.ones(tuple(self._size), bool)
         for cell, _ in triangle_cells((corners - self._low) / self._width, exact=False):
             cell = np.minimum(cell, self._size - 1)
             free[cell[:, 0], cell[:, 1], cell[:, 2]] = False
         away = distances(free) if len(corners) else np.full(tuple(self._size), np.inf)
-        # Both the asker and the triangle may stand anywhere in their cells: two half diagonals.
+        # The query point and the triangle may be anywhere in their cells: two half diagonals.
         least = np.maximum((away - np.sqrt(3.0)) * self._width * (1 - 1e-6), 0.0).astype(np.float32).ravel()
         return {"least": least}
 
     def refine(self, distance: Callable[[NDArray[np.float64]], NDArray[np.float64]]) -> None:
-        """Measure the distance (mm) from the middles [n,3] of the cells near triangles: left is one half diagonal of two.
+        """Raise the bounds of cells near triangles by the measured distance (mm) from their centres [n,3]. This leaves a slack of
+        one half diagonal per cell instead of two.
 
-        Nothing is measured where that would take longer than a crowd saves in a few hundred steps.
-        """
+        Skipped where measuring would take longer than it saves a crowd in a few hundred steps."""
         near = np.flatnonzero(self._least < 2 * self._width)
         if near.size > _MEASURED:
             return
@@ -65,7 +66,7 @@ class DistanceGrid:
         self._least[near] = np.maximum(self._least[near], least.astype(np.float32))
 
     def at_least(self, x: NDArray[Any], y: NDArray[Any], z: NDArray[Any], threads: int = 1) -> NDArray[np.float32]:
-        """A distance (mm, float32[n]) within which there is no triangle; 0 near the triangles."""
+        """Return a distance (mm, float32[n]) within which there is no triangle; 0 near the triangles."""
         found, columns = np.empty(len(x), np.float32), (x, y, z)
         single = all(each.dtype == np.float32 for each in columns)
         if not single:
@@ -92,7 +93,7 @@ def _bound(cells: Cells, least: Array1[F32], px: F64, py: F64, pz: F64) -> F32:
 
 @kernel
 def at_least(places: Columns, cells: Cells, least: Array1[F32], found: Array1[F32], begin: I64, end: I64) -> None:
-    """Writes the distances of places from `begin` to before `end`."""
+    """Write the distances of the positions in rows `begin` to `end` (exclusive)."""
     x, y, z = places
     for n in independent(begin, end):
         found[n] = _bound(cells, least, np.float64(x[n]), np.float64(y[n]), np.float64(z[n]))
@@ -108,19 +109,19 @@ def at_least_of(places: Places, cells: Cells, least: Array1[F32], found: Array1[
 
 @inlined
 def _number(place: F64) -> I64:
-    """The number of a cell, of a place among cells that is not below 0."""
+    """Return the cell number of a coordinate in cells that is not negative."""
     return whole(np.floor(place))
 
 
 @inlined
 def _inside(place: F64, low: F64, high: F64) -> F64:
-    """As fmin and fmax have it: what is no place lies at the lowest."""
+    """Return a coordinate clamped as by fmin and fmax: NaN becomes the lowest."""
     inside = place if place > low else low
     return inside if inside < high else high
 
 
 def cell_width(extent: NDArray[np.float64], cells: int) -> float:
-    """Edge of cubes of which about `cells` fill a box; thin boxes count only their long sides."""
+    """Return the edge of cubes of which about `cells` fill a box; a thin box counts only its long sides."""
     longest = float(extent.max())
     if not longest > 0:
         return 1.0
@@ -135,7 +136,8 @@ def cell_width(extent: NDArray[np.float64], cells: int) -> float:
 
 
 def triangle_width(corners: NDArray[np.float64], width: float) -> float:
-    """Edge of cubes, at least `width`, in which triangles with corners float64[m,3,3] can be listed in a few seconds."""
+    """Return the edge of cubes, at least `width`, for which listing triangles with corners float64[m,3,3] takes at most a few
+    seconds."""
     lengths, area = sides_and_area(corners)
     around = float(lengths.sum())
     while 3 * area / width**2 + 2 * around / width > _LISTED + 8.0 * len(corners):
@@ -144,7 +146,8 @@ def triangle_width(corners: NDArray[np.float64], width: float) -> float:
 
 
 def sides_and_area(corners: NDArray[np.float64]) -> tuple[NDArray[np.float64], float]:
-    """The lengths (3, m) of the sides of triangles and the area of all: by sides, area and corners, triangles touch cubes."""
+    """Return the lengths (3, m) of the sides of triangles and their total area. The count of cubes they touch depends on sides,
+    area and corners."""
     sides = [corners[:, (k + 1) % 3] - corners[:, k] for k in range(3)]
     normal = np.cross(sides[0], sides[1])
     lengths: NDArray[np.float64] = np.sqrt(np.stack([dot(side, side) for side in sides]))

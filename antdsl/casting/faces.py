@@ -1,7 +1,6 @@
-"""Triangles in float64: where rays cross them, which of their points is nearest, and which of them meet at a corner.
+"""Triangles in float64: ray intersections, nearest points, and the faces that share a corner.
 
-Sums, products, quotients and roots of single elements in one fixed order: the same bits on every processor.
-"""
+Sums, products, quotients and roots of single elements in one fixed order: the same bits on every processor."""
 
 from __future__ import annotations
 
@@ -19,9 +18,9 @@ Index = NDArray[np.int64]
 
 HAIR = 1e-6  # of the largest coordinate: several times what float32 makes of a corner, of a ray, and of where they meet
 WIDE = 16.0  # hairs by which faces are wider for rays: even one that passes a side at 4 degrees finds them, whatever it rounds
-_RIM = 20.0  # hairs: nearer to a side than this, the faces at its end are asked too
+_RIM = 20.0  # hairs: nearer to a side than this, the faces at its end are queried too
 AHEAD = 40.0  # hairs behind a face that is named: where another one may be the first that is hit
-_TABLES = 200_000  # faces, above which what is known of each is worked out when it is asked for
+_TABLES = 200_000  # faces: above this number, the tables of each face are computed on demand
 _SHARP = 1 / 128  # 1 + cosine of two sides' outward directions: below it their corner is moved no further out
 
 # Planes and rims of faces; the place of each corner by number, where the faces at each place begin, and these faces.
@@ -29,8 +28,8 @@ Table = tuple[Array3[F64], Array1[F64], Array1[I64], Array1[I64], Array1[I64]]
 
 
 class Faces:
-    """Triangles with corners float64[m,3,3] (mm). Of those that are `brief`, asked for few faces, no tables are made. `largest`:
-    the coordinate (mm) that a hair goes by, where it is not that of all corners."""
+    """Triangles with corners float64[m,3,3] (mm). `brief`: build no tables, since few faces are queried. `largest`: the
+    coordinate (mm) that defines a hair, if it is not the largest of all corners."""
 
     def __init__(self, corners: Floats, brief: bool = False, largest: float | None = None) -> None:
         self.corners = corners
@@ -41,7 +40,8 @@ class Faces:
         self._meeting: tuple[Index, Index, Index] | None = None
 
     def widened(self) -> NDArray[np.float32]:
-        """Corners float32[3m,3] of triangles each side of which is some hairs further out: float32 rays miss no face."""
+        """Return corners float32[3m,3] of slightly enlarged triangles (each side moved out by a few `hair`), so that float32 rays
+        miss no face."""
         a, b, c = (self.corners[:, k] for k in range(3))
         normal = unit(np.cross(b - a, c - a))
         ab, bc, ca = (np.cross(unit(side), normal) for side in (b - a, c - b, a - c))
@@ -51,7 +51,7 @@ class Faces:
         return np.stack(moved, axis=1).reshape(-1, 3).astype(np.float32)
 
     def normal(self, face: Index) -> Floats:
-        """Unit normals [k,3] of faces, by how they are wound; 0 without area."""
+        """Return unit normals [k,3] of faces, by their winding; 0 for faces without area."""
         if self._brief:
             corners = self.corners.take(face, axis=0)
             return unit(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]))
@@ -78,8 +78,9 @@ class Faces:
         return rows, _RIM * self.hair * np.sqrt(steepest)
 
     def crossing(self, face: Index, origin: Floats, way: Floats) -> tuple[Floats, Floats, NDArray[np.bool_], NDArray[np.bool_]]:
-        """Where rays from `origin` [k,3] along `way` [k,3] cross the planes of faces: after how many lengths of the way, the
-        weights [k,3] of the corners there, whether that is in the face, and whether it is as near to its rim as float32 errs."""
+        """Intersect rays from `origin` [k,3] along `way` [k,3] with the planes of faces. Returns the ray parameter, in lengths of
+        `way`; the weights [k,3] of the corners there; whether the point is in the face; whether it is within float32 error of the
+        border."""
         rows, rim = self._known(face)
         at = ((rows[:, :, 0] * origin[:, 0:1] + rows[:, :, 1] * origin[:, 1:2]) + rows[:, :, 2] * origin[:, 2:]) + rows[:, :, 3]
         to = (rows[:, :, 0] * way[:, 0:1] + rows[:, :, 1] * way[:, 1:2]) + rows[:, :, 2] * way[:, 2:]
@@ -93,9 +94,9 @@ class Faces:
     def judged(
         self, named: Index, origin: Floats, way: Floats, at: NDArray[np.floating]
     ) -> tuple[Floats, Floats, NDArray[np.bool_], Floats]:
-        """For rays that Open3D says meet the named faces after about `at` of their way: after what part they do, the weights of
-        the corners there, whether they do, and a hair as a part of the way. Those that cross the named face near its rim meet
-        the first of the faces that meet it there, and `named` is changed to that one."""
+        """Check hits that Open3D reports, on the named faces at about `at` of their length. Returns the exact part of the length,
+        the weights of the corners, whether the ray hits, and `hair` as a part of the length. Near the border of the named face,
+        the first hit among the faces that meet there counts; `named` is changed to it."""
         tables = self.tables()
         if tables is not None:
             n = len(named)
@@ -120,7 +121,8 @@ class Faces:
         return here, weights, hit, hair
 
     def tables(self) -> tuple[Floats, Floats, Index, Index, Index] | None:
-        """For the kernels, where all is known of all faces: planes, rims, and as `_met`; None of those that are brief."""
+        """Return the tables that kernels read, for all faces: planes, borders, and the results of `_met`. None for a short-lived
+        set of faces."""
         if self._brief:
             return None
         self._known(np.empty(0, np.int64))
@@ -128,8 +130,8 @@ class Faces:
         return *self._planes, *self._meeting
 
     def nearest(self, points: Floats, face: Index) -> tuple[Floats, Floats, Index]:
-        """Nearest place to each point [k,3], its square distance and its face, where float32 says that it is `face`: that one,
-        or one of those that meet it where it is nearest. Of equally near ones the first."""
+        """Return the nearest position to each point [k,3], its squared distance and its face. `face` is the nearest in float32;
+        the result is that face or one that meets it at the nearest position. Of equally near ones the first."""
         tables = self.tables()
         if tables is not None:
             face, place, square = face.copy(), np.empty((len(points), 3)), np.empty(len(points))
@@ -154,8 +156,8 @@ class Faces:
         return place, square, face
 
     def meeting(self, face: Index, weights: Floats) -> tuple[Index, Index]:
-        """Of each face all those that have the corner of most weight, itself among them: which of those asked, and their numbers,
-        ascending."""
+        """Return for each face all faces that share its corner of largest weight, itself included. The result contains the
+        indices of the queried faces, and the face numbers, ascending."""
         if self._meeting is None:
             self._meeting = self._met()
         weld, first, faces = self._meeting
@@ -177,7 +179,7 @@ class Faces:
         return found
 
     def _met(self) -> tuple[Index, Index, Index]:
-        """The place of each corner by number; where the faces at each place begin; these faces."""
+        """Return the welded vertex number of each corner; where the faces at each vertex begin; these faces."""
         flat = self.corners.reshape(-1, 3)
         order = np.lexsort((flat[:, 2], flat[:, 1], flat[:, 0]))
         new = (flat[order[1:]] != flat[order[:-1]]).any(axis=1)
@@ -189,9 +191,9 @@ class Faces:
 
 
 def planes(corners: Floats) -> Floats:
-    """Three rows (k, 3, 4) for triangles [k,3,3]: along the normal, and the weights of the second and third corner, as what a
-    place's coordinates and 1 are multiplied with. All zero for a triangle without area (D. Baldwin, M. Weber, Fast Ray-Triangle
-    Intersections by Coordinate Transformation, JCGT 5(3), 2016)."""
+    """Return three rows (k, 3, 4) for triangles [k,3,3]. Multiplied with a point's coordinates and 1, they give the height along
+    the normal and the weights of the second and third corner. All zero for a triangle without area (D. Baldwin, M. Weber, Fast
+    Ray-Triangle Intersections by Coordinate Transformation, JCGT 5(3), 2016)."""
     a, one, two = corners[:, 0], corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
     normal = np.cross(one, two)
     size = dot(normal, normal)[:, None]
@@ -250,8 +252,8 @@ def hits(
     hit: Array1[BOOL],
     short: Array1[F64],
 ) -> None:
-    """As `Faces.judged`, into the last five arrays: the face, after what part of the way, the weights of its corners, whether
-    it is hit, and a hair as a part of the way."""
+    """As `Faces.judged`, into the last five arrays: face, part of the length, corner weights, whether it is hit, and `hair` as a
+    part of the length."""
     planes, rims, weld, first, faces = table
     for i in range(named.size):
         x, y, z = way[i, 0], way[i, 1], way[i, 2]
@@ -320,7 +322,7 @@ def _least(a: F64, b: F64, c: F64) -> F64:
 
 @inlined
 def _heaviest(a: F64, b: F64, c: F64) -> I64:
-    """As `np.argmax` has it: NaN is the greatest, and the first of equals counts."""
+    """Return the index as `np.argmax` does: NaN is the greatest, and the first of equals counts."""
     if a != a or (not (b > a or b != b) and not (c > a or c != c)):
         return 0
     if b != b or (b >= c and c == c):

@@ -1,7 +1,6 @@
-"""Filters of grids: the least or greatest of the cells around, and how far the nearest cell of a kind is.
+"""Filters of grids: minimum or maximum of the surrounding cells, and distance to the nearest cell of a kind.
 
-What SciPy's `ndimage` gives, to the bit. Importing that takes longer than all filters of a scene.
-"""
+Bit-identical to SciPy's `ndimage`, which takes longer to import than all filters of a scene."""
 
 from __future__ import annotations
 
@@ -16,12 +15,12 @@ _FARTHEST = 1 << 29  # cells squared: more than any grid is long, and the sum of
 
 
 def greatest_around(grid: NDArray[T], rings: int) -> NDArray[T]:
-    """The greatest of the cells within so many `rings` of each, along all axes."""
+    """Return the maximum over the cells within `rings` cells of each, along all axes."""
     return _around(grid, rings, np.maximum)
 
 
 def least_around(grid: NDArray[T], rings: int) -> NDArray[T]:
-    """The least of the cells within so many `rings` of each, along all axes."""
+    """Return the minimum over the cells within `rings` cells of each, along all axes."""
     return _around(grid, rings, np.minimum)
 
 
@@ -41,9 +40,10 @@ def _around(grid: NDArray[T], rings: int, better: Any) -> NDArray[T]:
 
 
 def distances(free: NDArray[np.bool_]) -> NDArray[np.float64]:
-    """How many cells the nearest one that is not `free` is away, middle to middle; some are not.
+    """Return the distance, in cells between centres, to the nearest cell that is not `free`; at least one cell must not be free.
 
-    Along one axis after the other: of each cell the least square of a cell in its line, plus that of the way there."""
+    Works along one axis after the other: the minimum over each cell's line of the squared value there plus the squared distance
+    along the line."""
     square = np.where(free, np.int32(_FARTHEST), np.int32(0))
     for axis in np.argsort(free.shape, kind="stable"):  # after the shortest few cells are far from all
         line = np.moveaxis(square, axis, 0)

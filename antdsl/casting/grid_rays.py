@@ -1,4 +1,4 @@
-"""The first face that rays meet in a grid of triangles, see `triangle_grid`: one ray at a time, cube by cube."""
+"""The first face that each ray meets in a grid of triangles, see `triangle_grid`: one ray at a time, cube by cube."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ Four = tuple[Array1[F32], Array1[F32], Array1[F32], Array1[F32]]
 Felt = tuple[Array1[BOOL], Array1[F32], Array1[F32], Array1[F32], Array1[F32]]
 Seven = tuple[Array1[F32], Array1[F32], Array1[F32], Array1[F32], Array1[F32], Array1[F32], Array1[F32]]
 ONE, SLACK, TINY = np.float32(1), np.float32(FAR_OFF), np.float32(SHORTEST)
-AHEAD = 16  # rays or places whose faces are brought near at once
+AHEAD = 16  # rays or points with faces prefetched together
 _STILL = 1e-12  # cubes: a ray that goes no farther along an axis stays in its layer
 
 
@@ -40,7 +40,7 @@ _STILL = 1e-12  # cubes: a ray that goes no farther along an axis stays in its l
 def firsts(
     grid: Grid, origin: Strided2[F64], way: Strided2[F64], t: Array1[F64], face: Array1[I64], begin: I64, end: I64
 ) -> None:
-    """As `TriangleGrid.first`, into `t` and `face`, of rays from `begin` to before `end`."""
+    """As `TriangleGrid.first`, into `t` and `face`, for rays `begin` to `end` (exclusive)."""
     cells = scratch(2 * AHEAD, I64)
     for low in range(begin, end, AHEAD):
         high = min(low + AHEAD, end)
@@ -61,8 +61,9 @@ def faced(
     begin: I64,
     end: I64,
 ) -> tuple[I64, I64, I64]:
-    """As `TriangleGrid.faced` of rays from `begin` to before `end`, from number `begin` on into the last two arrays: which ones;
-    part of the way and normal (x y z), [4, n]. Gives `begin`, how many hit, and of how many the grid cannot tell."""
+    """As `TriangleGrid.faced`, for rays `begin` to `end` (exclusive), into the last two arrays from index `begin` on. `which`:
+    the rays that hit; `found` [4, n]: part of the length and normal (x y z). Returns `begin`, the number of hits, and the number
+    of rays beyond the grid's reach."""
     shape, count, left = grid[0], 0, 0
     zero = shape[6], shape[7], shape[8]
     cells, faces, many = scratch(2 * AHEAD, I64), scratch(AHEAD, I64), normals.shape[1]
@@ -92,7 +93,7 @@ def faced(
 
 @inlined
 def _fetch(grid: Grid, origin: Strided2[F64], zero: Vec3, way: Strided2[F64], cells: Array1[I64], low: I64, high: I64) -> None:
-    """Prefetch the faces near both ends of rays from `low` to before `high`; origins count from a `zero`."""
+    """Prefetch the faces near both ends of rays `low` to `high` (exclusive); origins are relative to `zero`."""
     for i in range(low, high):
         a = minus((origin[i, 0], origin[i, 1], origin[i, 2]), zero)
         _look_along(grid, a, (way[i, 0], way[i, 1], way[i, 2]), cells, i - low)
@@ -101,7 +102,8 @@ def _fetch(grid: Grid, origin: Strided2[F64], zero: Vec3, way: Strided2[F64], ce
 
 @kernel
 def feelers(grid: Grid, rays: Seven, found: Array2[F32]) -> I64:
-    """As `TriangleGrid.feelers`, into the last array: distance, NaN for who has to ask elsewhere, and normal; how many have."""
+    """As `TriangleGrid.feelers`, into the last array: distance and normal. The distance is NaN for feelers that the grid cannot
+    resolve; returns their number."""
     x, y, z, dx, dy, dz, reach = rays
     count = 0
     for i in range(reach.size):
@@ -115,8 +117,8 @@ def feelers(grid: Grid, rays: Seven, found: Array2[F32]) -> I64:
 
 @kernel
 def felt(grid: Grid, places: Four, asking: Array1[BOOL], ways: Four, found: Felt, begin: I64, end: I64) -> I64:
-    """As `TriangleGrid.felt`, for agents from `begin` to before `end`, into the last arrays; the distance is NaN for who has to
-    ask elsewhere; how many have."""
+    """As `TriangleGrid.felt`, for agents `begin` to `end` (exclusive), into the last arrays. The distance is NaN for feelers that
+    the grid cannot resolve; returns their number."""
     x, y, z, clear = places
     wx, wy, wz, reach = ways
     hit, t, nx, ny, nz = found
@@ -142,8 +144,8 @@ def felt(grid: Grid, places: Four, asking: Array1[BOOL], ways: Four, found: Felt
 
 @called
 def feel(grid: Grid, p: Vec3F32, d: Vec3F32, reach: F32) -> tuple[tuple[F64, F64, F64, F64], I64]:
-    """The normal of what a feeler touches, towards the asker, and after how many mm (inf = nothing, NaN = the grid cannot tell);
-    and the face."""
+    """Return the hit of a feeler, and the face. The hit contains the unit normal towards the feeler's origin, and the distance in
+    mm (inf = no hit, NaN = the grid cannot answer)."""
     shape, normals = grid[0], grid[7]
     far = np.float64(reach)
     a = np.float64(p[0]) - shape[6], np.float64(p[1]) - shape[7], np.float64(p[2]) - shape[8]
@@ -159,7 +161,7 @@ def feel(grid: Grid, p: Vec3F32, d: Vec3F32, reach: F32) -> tuple[tuple[F64, F64
 
 @called
 def first_hit(grid: Grid, a: Vec3, w: Vec3) -> tuple[F64, I64]:
-    """After what part of its way a ray meets its first face, and which."""
+    """Return the part of its length after which a ray meets its first face, and the face."""
     shape, size, first, listed, bound, planes = grid[0], grid[1], grid[2], grid[3], grid[4], grid[5]
     part = 1.0 / shape[3]
     px, py, pz = (a[0] - shape[0]) * part, (a[1] - shape[1]) * part, (a[2] - shape[2]) * part
@@ -227,7 +229,7 @@ def first_hit(grid: Grid, a: Vec3, w: Vec3) -> tuple[F64, I64]:
 def fetch_rays(
     grid: Grid, origins: Array2[F64], zero: Vec3, ways: Array2[F64], rays: Array1[I64], cells: Array1[I64], count: I64
 ) -> None:
-    """Prefetch the faces near both ends of rays whose numbers are in `rays`; origins and ways (3, k) count from a `zero`."""
+    """Prefetch the faces near both ends of the rays with numbers in `rays`. Origins and ways (3, k) are relative to `zero`."""
     for n in range(count):
         _look_along(grid, minus(of(origins, rays[n]), zero), of(ways, rays[n]), cells, n)
     _fetch_lists(grid, cells, count)
@@ -235,7 +237,7 @@ def fetch_rays(
 
 @inlined
 def _look_along(grid: Grid, a: Vec3, w: Vec3, cells: Array1[I64], n: I64) -> None:
-    """Put the cubes of both ends of ray `n` of a batch into `cells`."""
+    """Write the cubes at both ends of ray `n` of a batch into `cells`."""
     cells[2 * n] = _look_at(grid, a)
     cells[2 * n + 1] = _look_at(grid, (a[0] + w[0], a[1] + w[1], a[2] + w[2]))
 
@@ -249,7 +251,7 @@ def _fetch_lists(grid: Grid, cells: Array1[I64], count: I64) -> None:
 
 @inlined
 def _look_at(grid: Grid, a: Vec3) -> I64:
-    """The cube of a place, or one beside it where there is none, whose beginning is brought near."""
+    """Return the cube of a position, or the nearest one of the grid. Prefetch the start of its list."""
     shape, size, first = grid[0], grid[1], grid[2]
     part = 1.0 / shape[3]
     x = min(max(whole(np.floor((a[0] - shape[0]) * part)), 0), size[0] - 1)
@@ -262,7 +264,7 @@ def _look_at(grid: Grid, a: Vec3) -> I64:
 
 @inlined
 def _fetch_list(grid: Grid, cell: I64) -> None:
-    """Have the first faces of a cube brought near: two lie in a line of memory."""
+    """Prefetch the first faces of a cube: two fit in a cache line."""
     first, listed, bound = grid[2], grid[3], grid[4]
     k: I64 = first[cell]
     fetch_ahead(listed, k)
@@ -274,7 +276,7 @@ def _fetch_list(grid: Grid, cell: I64) -> None:
 
 @inlined
 def _between(p: F64, inverse: F64, moves: BOOL, size: F64) -> tuple[F64, F64]:
-    """After which parts of its way a ray enters and leaves the grid along one axis."""
+    """Return the parts of its length at which a ray enters and leaves the grid along one axis."""
     if not moves:
         return (0.0, 1.0) if p >= 0.0 and p < size else (np.inf, -np.inf)
     one, two = -p * inverse, (size - p) * inverse

@@ -1,6 +1,6 @@
-"""What agents ask of triangles near them: how far away they are, what feelers touch, and the way out.
+"""Queries of agents about nearby triangles: distance, feeler hits, and the direction away from them.
 
-Whoever is too far from everything to touch it is not asked about, by a grid of least distances (performance: most agents)."""
+Agents too far from all triangles to touch them are skipped, by a grid of lower distance bounds (performance: most agents)."""
 
 from __future__ import annotations
 
@@ -23,13 +23,13 @@ Columns = tuple[NDArray[Any], NDArray[Any], NDArray[Any]]
 Ask = tuple[NDArray[np.bool_], Arrays, Arrays]  # who of n asks, operands and results of n each
 
 END = 1.1  # of a ray: Open3D looks as far, which is more than it errs by unless the ray is a hair long
-_CROWD = 2_000  # places asked about at once, from which on finer distances pay
+_CROWD = 2_000  # simultaneous queries from which finer distances pay
 _BRIEF_CELLS = 1000
 
 
 @dataclass(frozen=True, slots=True)
 class FeelerHits:
-    """What feelers touched: `hit`, its distance `t` (mm, inf = nothing) and the face's normal towards the asker."""
+    """Hits of feelers: `hit`, its distance `t` (mm, inf = no hit) and the face's normal towards the feeler's origin."""
 
     hit: NDArray[np.bool_]
     t: NDArray[np.float32]
@@ -39,12 +39,12 @@ class FeelerHits:
 
 
 def everybody(asks: Sequence[Ask]) -> list[tuple[int, NDArray[np.intp]]]:
-    """All who ask, with the number of what they ask."""
+    """Return the rows of all requests, with the number of each request."""
     return [(number, np.flatnonzero(asking)) for number, (asking, *_) in enumerate(asks)]
 
 
 class Nearby:
-    """Questions about triangles near places; `casting.rays` answers what they are made of."""
+    """Queries of triangles near positions; `casting.rays` implements the underlying ones."""
 
     origin: Vectors
     _brief: bool
@@ -58,7 +58,7 @@ class Nearby:
     def closest(
         self, points: Vectors, threads: int = 1, within: NDArray[Any] | float = np.inf
     ) -> tuple[NDArray[np.int32], NDArray[np.int32], Vectors, Vectors]:
-        """Mesh, face, place and distance of the nearest face to each point."""
+        """Return mesh, face, position and distance of the nearest face to each point."""
         raise NotImplementedError
 
     def _within(self, origin: Vectors, way: Vectors, threads: int, most_hit: bool = False) -> tuple[Index, Vectors, Index]:
@@ -74,7 +74,7 @@ class Nearby:
         raise NotImplementedError
 
     def clearance(self, x: NDArray[Any], y: NDArray[Any], z: NDArray[Any], threads: int = 1) -> NDArray[np.float32]:
-        """A distance (mm, float32[n]) within which places have no face; 0 when near, inf without faces."""
+        """Return a distance (mm, float32[n]) within which positions have no face; 0 when near, inf without faces."""
         if self._empty:
             return np.full(len(x), np.inf, np.float32)
         if self._grid is None:
@@ -99,10 +99,9 @@ class Nearby:
         reach: NDArray[Any] | float,
         threads: int = 1,
     ) -> FeelerHits:
-        """What lies within `reach` (mm, one or float[n]) of places along unit directions, all 1-D arrays of one length.
+        """Return the hits within `reach` (mm, one or float[n]) of positions along unit directions, all 1-D arrays of one length.
 
-        Whoever is too far from everything to touch it is not asked (performance: most agents), and gets the same answer.
-        """
+        Agents too far from everything to touch it are skipped (performance: most agents), with the same result."""
         n = len(x)
         if np.ndim(reach) == 0 or reach.dtype != np.float32:  # type: ignore[union-attr]
             reach = np.broadcast_to(np.asarray(reach, np.float32), (n,))
@@ -120,10 +119,10 @@ class Nearby:
         return FeelerHits(t < np.inf, t, *normal)
 
     def felt(self, places: Arrays, asks: Sequence[Ask], threads: int = 1) -> list[tuple[int, NDArray[np.intp]]]:
-        """As `feelers`, several times at once, for those of n agents who are asking. `places`: x y z and how far they have no
-        face, [n] each; ways (x y z) of any length and how far they reach, [n] each; what is found, whether, distance and normal
-        (x y z), [n] each, which says until then that nothing is touched; all float32 in one piece. Gives back who has still to
-        ask by `feelers`, with the number of what they ask: all where there is no grid."""
+        """As `feelers`, for several requests together, each by some of n agents. `places`: x y z and the distance free of faces,
+        [n] each. Each request has ways (x y z) of any length and their reach, [n] each, and result arrays: hit, distance and
+        normal (x y z), [n] each. Results must be initialised to no hit; all arrays are contiguous float32. Returns, with the
+        number of each request, the rows that still need `feelers`: all if there is no grid."""
         grid = self._triangles()
         if grid is None:
             return everybody(asks)
@@ -136,18 +135,18 @@ class Nearby:
         return left
 
     def tables(self) -> Tables | None:
-        """What kernels read of the grid of triangles; None where there is none."""
+        """Return the grid of triangles as kernels read it; None if there is none."""
         grid = self._triangles()
         return None if grid is None else grid.tables
 
     def _grid_for(self, columns: tuple[NDArray[Any], ...]) -> TriangleGrid | None:
-        """The grid, where its kernels take these columns."""
+        """Return the grid if its kernels accept these columns."""
         return self._triangles() if all(each.dtype == np.float32 for each in columns) else None
 
     def _touched(
         self, rays: tuple[NDArray[Any], ...], reach: NDArray[np.float32], threads: int
     ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """Distance and normal of what feelers touch: six columns, by arrays."""
+        """Return distance and normal of what feelers touch, for rays as six columns, with array operations."""
         x, y, z, dx, dy, dz = rays
         t = np.full(len(x), np.inf, np.float32)
         normal = np.zeros((3, len(x)), np.float32)
@@ -168,7 +167,8 @@ class Nearby:
     def near(
         self, x: NDArray[Any], y: NDArray[Any], z: NDArray[Any], reach: NDArray[Any] | float, threads: int = 1
     ) -> FeelerHits:
-        """The nearest face within `reach` (mm, one or float[n]) of places, 1-D arrays: distance, and unit way to the asker."""
+        """Return the nearest face within `reach` (mm, one or float[n]) of positions, 1-D arrays: distance, and unit direction
+        towards the position."""
         n = len(x)
         reach = np.broadcast_to(np.asarray(reach, np.float32), (n,))
         t = np.full(n, np.inf, np.float32)
@@ -188,9 +188,10 @@ class Nearby:
     def apart(
         self, x: NDArray[Any], y: NDArray[Any], z: NDArray[Any], within: NDArray[Any] | float, threads: int = 1
     ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """How far (mm, float32[n]) places are out of the meshes, below 0 inside, and the unit way out, float32[3,n].
+        """Return the signed distance (mm, float32[n]) of positions from the meshes, negative inside, and the unit direction out,
+        float32[3,n].
 
-        Inside is behind the nearest face; slow far from the surface."""
+        Inside means behind the nearest face. Slow far from the surface."""
         grid = self._grid_for((x, y, z))
         if grid is None:
             return self._apart(np.stack([x, y, z], axis=1).astype(np.float64), within, threads)
@@ -225,7 +226,7 @@ class Nearby:
         dz: NDArray[Any],
         reach: NDArray[Any],
     ) -> NDArray[np.int64]:
-        """Rays that may hit: those whose ball around the middle of the feeler is not known to be empty."""
+        """Return the rays that may hit: those with a ball around the feeler's middle that is not known to be empty."""
         if self._empty:
             return np.empty(0, np.int64)
         if self._grid is None:

@@ -1,4 +1,5 @@
-"""The nearest face of places in a grid of triangles, and the way out: as `triangle_grid` has it, for one place at a time."""
+"""The nearest face of positions in a grid of triangles, and the direction out of the surface: kernels of `triangle_grid`, one
+position at a time."""
 
 from __future__ import annotations
 
@@ -10,13 +11,13 @@ from antdsl.casting.tolerances import BEYOND, FURTHER, RINGS, TOUCHING, UNSURE
 from antdsl.machine_code.kernels import BOOL, F32, F64, I64, Array1, Array2, Strided2, called, fetch_ahead, inlined, kernel, whole
 from antdsl.numerics.kernel_vectors import Vec3, Vec3F32, minus
 
-_FETCHED = 12  # faces of a row of cubes that are brought near
+_FETCHED = 12  # prefetched faces of a row of cubes
 
 
 @kernel
 def apart(grid: Grid, places: Three, found: Array2[F32], begin: I64, end: I64) -> I64:
-    """As `TriangleGrid.apart` of places from `begin` to before `end`, into `found`: gap, NaN for who has to ask elsewhere, and
-    way out; how many have."""
+    """As `TriangleGrid.apart` for positions `begin` to `end` (exclusive), into `found`: signed distance and direction out. The
+    distance is NaN where the grid cannot tell; returns the number of these."""
     x, y, z = places
     count = 0
     for i in range(begin, end):
@@ -28,8 +29,8 @@ def apart(grid: Grid, places: Three, found: Array2[F32], begin: I64, end: I64) -
 
 @inlined
 def way_out(grid: Grid, place: Vec3F32, within: F64) -> tuple[F32, Vec3F32]:
-    """As `apart`, of one place: how far it is out of the faces, NaN where the grid cannot tell, and the way out; or that it is
-    infinitely far out, where that is more than `within` mm."""
+    """As `apart`, for one position: its signed distance to the faces and the direction out. The distance is NaN where the grid
+    cannot tell, and infinite where it is more than `within` mm."""
     shape, normals = grid[0], grid[7]
     p = np.float64(place[0]), np.float64(place[1]), np.float64(place[2])
     a = p[0] - shape[6], p[1] - shape[7], p[2] - shape[8]
@@ -64,7 +65,8 @@ def nearests(grid: Grid, points: Strided2[F64], place: Array2[F64], square: Arra
 
 @inlined
 def fetch_around(grid: Grid, place: Vec3F32, rows: Array1[I64], k: I64) -> None:
-    """Have where the cubes around a place begin brought near; these, in nine rows of three, from number 9 `k` of `rows` on."""
+    """Prefetch the list starts of the cubes around a position. Write these cubes, in nine rows of three, to `rows` from index 9
+    `k` on."""
     shape, size, first = grid[0], grid[1], grid[2]
     part = 1.0 / shape[3]
     mx = _layer(np.float64(place[0]) - shape[6], shape[0], part, size[0])
@@ -80,7 +82,7 @@ def fetch_around(grid: Grid, place: Vec3F32, rows: Array1[I64], k: I64) -> None:
 
 @inlined
 def fetch_lists(grid: Grid, rows: Array1[I64], count: I64) -> None:
-    """Have the first faces of so many rows of three cubes brought near."""
+    """Prefetch the first faces of `count` rows of three cubes."""
     first, listed, bound = grid[2], grid[3], grid[4]
     last = first.size - 1
     for n in range(count):
@@ -98,11 +100,11 @@ def _layer(at: F64, low: F64, part: F64, size: I64) -> I64:
 
 @called
 def _nearest(grid: Grid, p: Vec3, within: F64) -> tuple[F64, I64, Vec3]:
-    """The square distance of a place's nearest face, which one, and the place on it. If that is farther than `within` (mm), it
-    may be BEYOND, with the place before it, or UNSURE.
+    """Return the squared distance to a point's nearest face, that face, and the nearest position on it. If that is farther than
+    `within` (mm), the face may be BEYOND (the point is in front of it) or UNSURE.
 
-    A face that is farther than that and has the place before it need not be measured: it is enough to know of one how far it is
-    at most, and that those which have the place behind them are farther."""
+    A face farther than `within`, with the point in front of it, is not measured. Two facts suffice: an upper bound of one such
+    distance, and that faces with the point behind them are farther."""
     shape, size, first, listed, bound, corners = grid[0], grid[1], grid[2], grid[3], grid[4], grid[6]
     width, off = shape[3], shape[4]
     part = 1.0 / width
@@ -110,7 +112,7 @@ def _nearest(grid: Grid, p: Vec3, within: F64) -> tuple[F64, I64, Vec3]:
     best, face, place, least = np.inf, FURTHER, p, np.inf
     # How far the nearest that has the place before it is at most, and both; how far faces on either side matter.
     ahead, until, before_it, behind_it = np.inf, np.inf, within + off, np.inf
-    before, second, third = FURTHER, FURTHER, FURTHER  # faces that were asked about last: neighbouring cubes have them too
+    before, second, third = FURTHER, FURTHER, FURTHER  # faces queried last: neighbouring cubes contain them too
     if not (_around(ax, size[0]) and _around(ay, size[1]) and _around(az, size[2])):
         return best, face, place
     mx, my, mz = _middle(ax, size[0]), _middle(ay, size[1]), _middle(az, size[2])
@@ -121,7 +123,7 @@ def _nearest(grid: Grid, p: Vec3, within: F64) -> tuple[F64, I64, Vec3]:
             for y in range(max(my - ring, 0), min(my + ring, size[1] - 1) + 1):
                 if _off(ax, x) + _off(ay, y) > until * part * part * (1 + 1e-6):
                     continue
-                # On the sides of the ring all cubes of a row are new, and lie side by side; elsewhere its two ends.
+                # On the sides of the ring all cubes of a row are new and contiguous; elsewhere only its two ends are new.
                 side = abs(x - mx) == ring or abs(y - my) == ring
                 row = (x * size[1] + y) * size[2]
                 z = low
@@ -164,7 +166,7 @@ def _nearest(grid: Grid, p: Vec3, within: F64) -> tuple[F64, I64, Vec3]:
 
 @inlined
 def _apart(bound: Array2[F32], k: I64, p: Vec3) -> tuple[F64, F64]:
-    """How far a place is above a face's plane, and the square distance from the middle of its ball."""
+    """Return a point's height above a face's plane, and its squared distance from the centre of the face's bounding ball."""
     nx, ny, nz = np.float64(bound[k, 0]), np.float64(bound[k, 1]), np.float64(bound[k, 2])
     above = ((nx * p[0] + ny * p[1]) + nz * p[2]) + np.float64(bound[k, 3])
     x, y, z = p[0] - np.float64(bound[k, 4]), p[1] - np.float64(bound[k, 5]), p[2] - np.float64(bound[k, 6])
@@ -173,7 +175,8 @@ def _apart(bound: Array2[F32], k: I64, p: Vec3) -> tuple[F64, F64]:
 
 @inlined
 def _farther(away: F64, above: F64, square: F64, least: F64) -> BOOL:
-    """Whether a face is farther away than `least` for certain: its plane is, or its ball of radius `away`, along the plane."""
+    """Return whether a face is certainly farther than `least`: by its plane, or within the plane by its bounding ball of radius
+    `away`."""
     if abs(above) > least:
         return True
     across = square - above * above
@@ -202,6 +205,7 @@ def _known(at: F64, middle: I64, ring: I64, size: I64) -> F64:
 
 @inlined
 def _off(at: F64, cell: I64) -> F64:
-    """The square distance (cubes) of a place from a layer of cubes along one axis, less what their faces may stand out."""
+    """Return the squared distance (in cubes) of a point from a layer of cubes along one axis. A tolerance allows for faces that
+    extend beyond their cubes."""
     off = max(max(np.float64(cell) - at, at - np.float64(cell + 1)) - 1e-5, 0.0)
     return off * off

@@ -1,4 +1,4 @@
-"""What agents can sense before them, of whatever it is made."""
+"""What agents can sense ahead of them, meshes and solids alike."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from antdsl.casting.triangle_grid import Arrays
 
 
 class Obstacle(Protocol):
-    """What agents can sense before them: a mesh (`RayScene`) or a solid (`SolidFeelers`). Places and directions are 1-D arrays of
-    one length n, lengths mm."""
+    """A surface that agents can sense ahead: a mesh (`RayScene`) or a solid (`SolidFeelers`). Positions and directions are 1-D
+    arrays of one length n, lengths mm."""
 
     def clearance(self, x: NDArray[Any], y: NDArray[Any], z: NDArray[Any], threads: int = 1) -> NDArray[np.float32]:
-        """A distance (float32[n]) within which places have no surface; 0 when near."""
+        """Return a distance (float32[n]) within which positions have no surface; 0 when near."""
 
     def feelers(
         self,
@@ -30,15 +30,15 @@ class Obstacle(Protocol):
         reach: NDArray[Any] | float,
         threads: int = 1,
     ) -> FeelerHits:
-        """What lies within `reach` (one or float[n]) of places along unit directions."""
+        """Return what lies within `reach` (one or float[n]) of positions along unit directions."""
 
     def felt(self, places: Arrays, asks: Sequence[Ask], threads: int = 1) -> list[tuple[int, NDArray[np.intp]]]:
-        """What feelers touch of those of n agents who are asking, several times at once. `places`: x y z, and within how many mm
-        there is no surface; ways (x y z) of any length and how far they reach; into whether, the distance and the normal (x y z),
-        which say until then that nothing is touched. Gives back who has still to ask by `feelers`, with the number of what they
-        ask."""
+        """Write what feelers touch, for several requests together, each by some of n agents. `places`: x y z, and the distance
+        (mm) free of surface. Each request has ways (x y z) of any length and their reach, and result arrays: hit, distance and
+        normal (x y z), initialised to no hit. Returns, with the number of each request, the rows that still need `feelers`."""
 
     def near(
         self, x: NDArray[Any], y: NDArray[Any], z: NDArray[Any], reach: NDArray[Any] | float, threads: int = 1
     ) -> FeelerHits:
-        """The nearest surface within `reach` (one or float[n]) of places: distance, and unit way to the asker."""
+        """Return the nearest surface within `reach` (one or float[n]) of positions: distance, and unit direction towards the
+        position."""

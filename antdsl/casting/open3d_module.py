@@ -1,4 +1,4 @@
-"""The import of Open3D, when it is first needed."""
+"""Imports Open3D at its first use."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ _PLOTS = "open3d.visualization.draw_plotly"
 
 
 class _DeferredModule(ModuleType):
-    """Stands for a module of functions, which is imported when one of them is called."""
+    """A placeholder for a module of functions, which is imported when one of them is called."""
 
     def __getattr__(self, name: str) -> Any:
         if name.startswith("__"):
@@ -29,10 +29,10 @@ class _DeferredModule(ModuleType):
 
 @cache
 def open3d() -> Any:
-    """The module, imported when it is first needed.
+    """Return the Open3D module, imported at first use.
 
-    Its plots are not imported with it: they need a web server and a HTTP client (dash, requests), which take half of the time
-    and bind a socket."""
+    Its plotting parts are not imported: they need a web server and an HTTP client (dash, requests), take half of the time and
+    bind a socket."""
     if "open3d" not in sys.modules:
         sys.modules.setdefault(_PLOTS, _DeferredModule(_PLOTS))
     try:
@@ -51,6 +51,7 @@ def _not_loaded(why: str) -> str:
 
 @cache
 def require_open3d() -> None:
-    """Raise ImportError where Open3D is not installed: its import takes long, and may only be needed late in a run."""
+    """Raise ImportError if Open3D is not installed. This check is early because the import is slow, and may be needed only late
+    in a run."""
     if find_spec("open3d") is None:
         raise ImportError(_not_loaded("there is no such package"))

@@ -1,4 +1,4 @@
-"""Rays for pictures: what Open3D says of them in float32, as fast as it says it. What a run does goes by `RayScene` instead."""
+"""Rays for pictures: Open3D's float32 results without further checks, for speed. Simulation uses `RayScene` instead."""
 
 from __future__ import annotations
 
@@ -15,8 +15,9 @@ _CHUNK = 1 << 17  # rays at once
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Sights:
-    """What each of n rays met: `t` float32[n] lengths of its direction (inf = nothing), `face` int32[n] (-1 = nothing), `u`
-    `v` the weights of the face's second and third corner, `normal` float32[n,3] of the face, unit, towards the ray's origin."""
+    """The hits of n rays: `t` float32[n] in lengths of the direction (inf = nothing), `face` int32[n] (-1 = nothing). `u` and `v`
+    are the weights of the face's second and third corner. `normal` float32[n,3]: the face's unit normal, towards the ray's
+    origin."""
 
     t: NDArray[np.float32]
     face: NDArray[np.int32]
@@ -26,8 +27,8 @@ class Sights:
 
 
 class PictureRays:
-    """Triangles (vertices [n,3], faces [m,3]) that a camera's rays are cast at. Places are taken relative to the middle of the
-    mesh before they become float32. The bits do not depend on threads or on which rays are asked about together."""
+    """Triangles (vertices [n,3], faces [m,3]) that a camera's rays are cast at. Positions are taken relative to the centre of the
+    mesh before they become float32. The bits do not depend on threads or on which rays are cast together."""
 
     def __init__(self, vertices: NDArray[np.floating], faces: NDArray[np.integer]) -> None:
         self.faces = len(faces)

@@ -1,4 +1,4 @@
-"""Which cells of a regular lattice do triangles touch: the exact test, in pieces that stay small in memory."""
+"""Finds the cells of a regular lattice that triangles touch: the exact test, in batches that need little memory."""
 
 from __future__ import annotations
 
@@ -19,13 +19,12 @@ _THIN = 64.0  # cells along a triangle for each that it touches, from where on i
 def triangle_cells(
     corners: NDArray[np.float64], exact: bool = True, margin: float = 0.0
 ) -> Iterator[tuple[NDArray[np.int64], NDArray[np.int64]]]:
-    """Yield (cells int64[k,3], triangle int64[k]) until all touched cells of all triangles are named.
+    """Yield (cells int64[k,3], triangle int64[k]) until all touched cells of all triangles are listed.
 
-    `corners` is float64[n,3,3] (triangle, corner, axis) in units of cells: cell (i,j,k) is [i,i+1)×[j,j+1)×[k,k+1). A cell
-    may come more than once for a large triangle. With `exact` false, all cells of a small box around each part come. With a
-    `margin` (cells), those too that are as near to a triangle.
-    Triangle against box: Akenine-Möller, Fast 3D Triangle-Box Overlap Testing, 2001, p. 2-4.
-    """
+    `corners` is float64[n,3,3] (triangle, corner, axis) in units of cells: cell (i,j,k) is [i,i+1)×[j,j+1)×[k,k+1). A cell may
+    come more than once for a large triangle. With `exact` false, all cells of a small box around each part come. With a `margin`
+    (cells), cells within that distance of a triangle come too. Triangle against box: Akenine-Möller, Fast 3D Triangle-Box Overlap
+    Testing, 2001, p. 2-4."""
     for a in range(0, len(corners), _PIECE):
         yield from _cells(corners[a : a + _PIECE], np.arange(a, min(a + _PIECE, len(corners))), exact, margin)
 
@@ -35,7 +34,8 @@ def _cells(
 ) -> Iterator[tuple[NDArray[np.int64], NDArray[np.int64]]]:
     """As `triangle_cells`, for at most `_PIECE` triangles and their names.
 
-    Quarters of a needle are needles: of one that is n cells long they would be n²/4. Slices across it are as wide as it is."""
+    A needle triangle is cut into slices across its length, each as wide as the needle. Quarters of a needle stay needles: one of
+    n cells length would need n²/4 of them."""
     todo = [(tri, name)]
     while todo:
         tri, name = todo.pop()
@@ -59,7 +59,7 @@ def _cells(
 
 
 def _each_once(cells: NDArray[np.int64], name: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Without most of the pairs that come again: halves of a slice share cells, and so do neighbours."""
+    """Return the pairs without most duplicates: halves of a slice share cells, and so do neighbouring parts."""
     least = cells.min(axis=0, initial=np.iinfo(np.int64).max)
     key = name - name.min(initial=0)
     room = float(key.max(initial=0)) + 1
@@ -73,7 +73,7 @@ def _each_once(cells: NDArray[np.int64], name: NDArray[np.int64]) -> tuple[NDArr
 
 
 def _are_thin(tri: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """Of which triangles quarters would be far more than the cells that they touch."""
+    """Return which triangles are so thin that quarters would outnumber by far the cells that they touch."""
     sides = [tri[:, (k + 1) % 3] - tri[:, k] for k in range(3)]
     square = np.max([(side * side).sum(axis=1) for side in sides], axis=0)
     across = np.cross(sides[0], sides[1])
@@ -82,7 +82,7 @@ def _are_thin(tri: NDArray[np.float64]) -> NDArray[np.bool_]:
 
 
 def _slices(tri: NDArray[np.float64]) -> Iterator[tuple[NDArray[np.float64], NDArray[np.int64]]]:
-    """Triangles cut across their longest side: at most `_PIECE` parts at once, and the number of the triangle of each.
+    """Yield triangles cut across their longest side: at most `_PIECE` parts per batch, and the triangle number of each.
 
     The height cuts a triangle in two. Each half is cut along the height, from its tip on, and each slice into two triangles."""
     sides = np.stack([((tri[:, (k + 1) % 3] - tri[:, k]) ** 2).sum(axis=1) for k in range(3)])
@@ -115,7 +115,8 @@ def _quarter(tri: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def _bounds(tri: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Lowest and highest coordinates of triangles, each float64[n,3]; three corners one by one are faster than an axis."""
+    """Return the lowest and highest coordinates of triangles, each float64[n,3]; three separate corners are faster than a
+    reduction along an axis."""
     a, b, c = tri[:, 0], tri[:, 1], tri[:, 2]
     return np.minimum(np.minimum(a, b), c), np.maximum(np.maximum(a, b), c)
 
@@ -144,8 +145,8 @@ def _box_cells(
 
 
 def _touch(tri: NDArray[np.float64], which: NDArray[np.int64], cells: NDArray[np.int64], half: float) -> NDArray[np.bool_]:
-    """Whether triangles `which` int64[k] of float64[9,n] meet cells int64[k,3], given that their bounding boxes do: bool[k].
-    `half`: half of the cells' edge, as they are asked about."""
+    """Return whether triangles `which` int64[k] of float64[9,n] meet cells int64[k,3], given that their bounding boxes do:
+    bool[k]. `half`: half the edge of the tested cells."""
     middle = cells.T + 0.5
     v = [[tri[3 * corner + axis].take(which) - middle[axis] for axis in range(3)] for corner in range(3)]
     e = [[w - u for u, w in zip(v[one], v[other], strict=True)] for one, other in ((0, 1), (1, 2), (2, 0))]

@@ -1,4 +1,5 @@
-"""The one door to Open3D: rays, occlusions, closest points and feelers against triangles, same bits for any batch or threads."""
+"""The only interface to Open3D: rays, occlusions, closest points and feelers against triangles, with the same bits for any batch
+or threads."""
 
 from __future__ import annotations
 
@@ -22,18 +23,17 @@ Met = tuple[Index, Vectors, Index, Vectors]
 _CHUNK = 1 << 16  # rays at once
 _AGAIN = 16  # faces that a ray may pass by at less than a hair
 _APART = 8.0  # hairs further away from the nearest face: from there one that is as near is nearer
-_FEW = 128  # rays that go on to the end of the scene sooner than they are asked about twice
-_FARTHEST = 1e15  # mm: Open3D, whose squares are float32, names no nearest face from much farther off
+_FEW = 128  # rays: up to this number, one cast to the end of the scene is faster than two queries
+_FARTHEST = 1e15  # mm: from much farther off, Open3D names no nearest face, because its squares are float32
 FAR = 2000.0  # mm; nearer to zero float32 is a ten-thousandth of a millimetre at worst
 
 
 @dataclass(frozen=True, slots=True)
 class Hits:
-    """What each ray met. `t` counts lengths of the direction (inf = nothing), `mesh` and `face` are -1 for nothing.
+    """The hits of rays. `t` is in lengths of the direction (inf = nothing); `mesh` and `face` are -1 for nothing.
 
-    `u v` are the weights of the face's second and third corner. `normal` float32[n,3] is the face's unit normal, turned
-    towards the ray's origin (0 for nothing).
-    """
+    `u v` are the weights of the face's second and third corner. `normal` float32[n,3] is the face's unit normal, turned towards
+    the ray's origin (0 for nothing)."""
 
     t: Vectors
     mesh: NDArray[np.int32]
@@ -48,20 +48,19 @@ class Hits:
 
 
 class RayScene(Nearby):
-    """Triangle meshes that rays can be cast at. Vertices are float64[n,3], faces int[m,3]; lengths in millimetres.
+    """Triangle meshes that rays can be cast at. Vertices are float64[n,3], faces int[m,3]; lengths are in millimetres.
 
-    Open3D works in float32 around the middle of meshes that are far from the world's origin, and its last bits depend on the
-    processor. So it only names faces, of triangles that are a hair wider than they are: what a ray meets and where, and which
-    place is nearest, is worked out in float64 from the face named and those that meet it there. Of equally near ones the first
-    mesh counts, then the first face. A scene that is `brief`, asked for a single step, knows less well who is far from it, and
-    is made faster; of one that is not `lasting` no table is stored for other runs. A hair goes by the largest coordinate, or by
-    `largest` (mm) where what lies beyond it is a backdrop.
+    Open3D computes in float32 around the centre of meshes that are far from the world's origin, and its last bits depend on the
+    processor. So it only proposes faces, of triangles that are enlarged by a hair. Hit points and nearest points are computed in
+    float64, from the proposed face and those that share its corner there. Of equally near ones the first mesh counts, then the
+    first face. A `brief` scene, for a single step, is faster to build but has coarser lower bounds of distances. A scene that is
+    not `lasting` stores no table for other runs. A hair is relative to the largest coordinate, or to `largest` (mm) where
+    anything beyond it is a backdrop.
 
-    Rays with an end, and nearest faces that are requested within a distance, go to a `TriangleGrid` where one is of use: it
-    measures all faces nearby in float64. Open3D answers for longer rays and for places too far from all faces. What decides is
-    the scene and the ray, so no answer depends on other rays.
-    Where two faces that do not meet are nearer to each other than float32 tells, it names the nearer and Open3D either.
-    """
+    Rays with an end, and nearest-face queries within a distance, go to a `TriangleGrid` where it is useful. The grid measures all
+    faces nearby in float64. Open3D answers longer rays, and queries too far from all faces. The choice depends on the scene and
+    the ray only, so no answer depends on other rays. Where two faces without a common corner are closer than float32 resolves,
+    the grid names the nearer and Open3D either."""
 
     _brief = False
     _lasting = True
@@ -102,7 +101,7 @@ class RayScene(Nearby):
 
     @property
     def _scene(self) -> Any:
-        """Open3D's scene, made when it is first asked: the grid answers most of what is asked in a run."""
+        """Open3D's scene, built on first use: the grid answers most queries of a run."""
         if self._tree is None:
             self._tree = self._built(self._faces.widened())
         return self._tree
@@ -136,15 +135,16 @@ class RayScene(Nearby):
     def cast_within(
         self, origin: Vectors, step: Vectors, threads: int = 1, most_hit: bool = False
     ) -> tuple[Index, Vectors, NDArray[np.int32], NDArray[np.int32]]:
-        """Which rays hit from `origin` [n,3] to `origin + step`, ascending; t, mesh, face. `most_hit`: it is not asked first."""
+        """Return the rays that hit from `origin` [n,3] to `origin + step`, ascending, with t, mesh and face. `most_hit`: skip the
+        occlusion query."""
         which, t, face = self._within(origin - self.origin, step, threads, most_hit)
         return which, t, *self._counted(face)
 
     def faced(
         self, origin: Vectors, way: Vectors, normals: Vectors, named: Index, threads: int = 1
     ) -> tuple[Index, Vectors, Vectors]:
-        """Which rays hit from `origin` [n,3] to `origin + way`, ascending; after what part of it; and the normal (3, k), of
-        those of (3, m), which each face of the scene has by its `named` number."""
+        """Return the rays that hit between `origin` [n,3] and `origin + way`, ascending; the part of `way` at the hit; and the
+        normal (3, k). Normals come from `normals` (3, m), by the `named` number of each face of the scene."""
         grid = self._triangles()
         if grid is not None:
             found, left = grid.faced(origin, way, normals, named, threads)
@@ -154,14 +154,14 @@ class RayScene(Nearby):
         return which, part, normals.take(named.take(face), axis=1)
 
     def _triangles(self) -> TriangleGrid | None:
-        """The grid for short rays and near faces, made when it is first asked for: none for a scene of a single step."""
+        """Return the grid for short rays and near faces, built on first use; None for a scene of a single step."""
         if not self._sought:
             self._sought = True
             self._short = TriangleGrid.of(self._faces, self.origin, self._lasting)
         return self._short
 
     def _within(self, origin: Vectors, way: Vectors, threads: int, most_hit: bool = False) -> tuple[Index, Vectors, Index]:
-        """As `_first` within one length of the way, without weights; short rays by the grid."""
+        """As `_first` within one length of `way`, without weights; short rays use the grid."""
         grid = self._triangles()
         if grid is None:
             return self._first(origin, way, 1.0, threads, most_hit)[:3]
@@ -175,12 +175,11 @@ class RayScene(Nearby):
         return met, t.take(met), face.take(met)
 
     def _first(self, origin: Vectors, way: Vectors, most: float, threads: int, most_hit: bool = False) -> Met:
-        """Which rays from places [n,3], as the scene counts them, hit something within `most` lengths of their way [n,3]: their
-        numbers, ascending, after what part of the way, the face over all meshes and the weights of its corners.
+        """Return the rays that hit within `most` lengths of `way` [n,3], from points [n,3] relative to the scene's origin. The
+        result has their numbers, ascending, the part of `way`, the face over all meshes and the weights of its corners.
 
-        What lies within a hair of a ray's start is not before it. Open3D looks a little too far, and again behind each face that
-        it names and that is not hit: one that a ray passes by at less than a hair, or starts from.
-        """
+        Hits within a `hair` of a ray's start are ignored. Open3D searches a little too far. It also searches again behind each
+        face that it reports and the ray does not hit: one that the ray starts from or misses by less than a `hair`."""
         nothing = np.empty(0, np.int64), np.empty(0), np.empty(0, np.int64), np.empty((0, 3))
         if self._empty:
             return nothing
@@ -203,7 +202,7 @@ class RayScene(Nearby):
             if not rows.size:
                 break
             part, named = self._named(rays, threads)
-            if most < np.inf and not many:  # whose first hit lies before the end is occluded before it, and no other
+            if most < np.inf and not many:  # a ray is occluded before the end exactly if its first hit lies before the end
                 named[part > np.float32(most * END)] = -1
             at: NDArray[Any] = part if begin is None else begin + part
             if named.min() < 0:
@@ -235,7 +234,8 @@ class RayScene(Nearby):
         return rows.take(met), here.take(met), named.take(met), weights.take(met, axis=0)
 
     def _named(self, rays: NDArray[np.float32], threads: int) -> tuple[NDArray[np.float32], Index]:
-        """After about what part of prepared rays Open3D names a face, and which, over all meshes (-1 = none)."""
+        """Return the approximate part of the length at which Open3D reports a face for prepared rays, and the face over all
+        meshes (-1 = none)."""
         answer = self._scene.cast_rays(self._tensor(rays), nthreads=threads)
         t = answer["t_hit"].numpy()
         face = answer["primitive_ids"].numpy().astype(np.int64)
@@ -245,19 +245,19 @@ class RayScene(Nearby):
         return t, face
 
     def _counted(self, face: Index) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
-        """The mesh of faces over all meshes, and their numbers in it."""
+        """Convert face numbers over all meshes to mesh numbers and face numbers within the mesh."""
         mesh = self._mesh_of_face.take(face)
         return mesh, (face - self._first_face.take(mesh)).astype(np.int32)
 
     def _towards(self, face: Index, direction: NDArray[Any]) -> NDArray[np.float32]:
-        """Normals of faces, turned against the direction of the rays that met them."""
+        """Return the normals of faces, turned against the direction of the rays that hit them."""
         normal = self._faces.normal(face)
         along = (normal[:, 0] * direction[:, 0] + normal[:, 1] * direction[:, 1]) + normal[:, 2] * direction[:, 2]
         turned: NDArray[np.float32] = np.where(along[:, None] > 0, -normal, normal).astype(np.float32)
         return turned
 
     def occluded(self, origin: Vectors, direction: Vectors, far: float = np.inf, threads: int = 1) -> NDArray[np.bool_]:
-        """Whether anything lies on each ray before `far` lengths of its direction, as Open3D says: for pictures only."""
+        """Return whether anything lies on each ray before `far` lengths of its direction, by Open3D: for pictures only."""
         rays = np.empty((len(origin), 6), np.float32)
         np.subtract(origin, self.origin, out=rays[:, :3], casting="unsafe")
         rays[:, 3:] = direction
@@ -274,11 +274,10 @@ class RayScene(Nearby):
     def closest(
         self, points: Vectors, threads: int = 1, within: NDArray[Any] | float = np.inf
     ) -> tuple[NDArray[np.int32], NDArray[np.int32], Vectors, NDArray[np.float64]]:
-        """Nearest surface of each point [n,3]: mesh, face, place [n,3] in float64 on that face, distance [n].
+        """Return the nearest surface of each point [n,3]: mesh, face, position [n,3] in float64 on that face, distance [n].
 
-        Slow far from the surface (10 to 30 rays' worth each): for the few that nothing else finds. Beyond `within` (mm, one or
-        float[n]) one that is as near on another side may stand for it.
-        """
+        Slow far from the surface (each costs as much as 10 to 30 rays): for the few points that no other search resolves. Beyond
+        `within` (mm, one or float[n]) the result may be an equally near face on another side."""
         n = len(points)
         if self._empty or n == 0:
             nothing = np.full(n, -1, np.int32)
@@ -298,7 +297,7 @@ class RayScene(Nearby):
         return *self._counted(face), place + self.origin, distance
 
     def _closest(self, local: Vectors, threads: int, within: NDArray[Any] | float) -> tuple[Vectors, Vectors, Index]:
-        """Place, distance and face nearest to places as the scene counts them, by Open3D."""
+        """Return position, distance and face nearest to points relative to the scene's origin, by Open3D."""
         place, square, face = self._faces.nearest(local, self._nearest(local, threads))
         # A little further away from it what is as near on another side is nearer: so it is known too, whichever was named.
         distance = np.sqrt(square)
@@ -313,13 +312,13 @@ class RayScene(Nearby):
         return place, distance, face
 
     def _about(self, points: Vectors) -> Vectors:
-        """Distances [n] to the nearest face or to one that is no further but for float32: for bounds."""
+        """Return distances [n] to the nearest face, or to one as near within float32 error: for bounds."""
         local = points - self.origin
         gap = nearest_on_triangle(local, self._faces.corners.take(self._nearest(local, 1), axis=0)) - local
         return np.sqrt((gap[:, 0] * gap[:, 0] + gap[:, 1] * gap[:, 1]) + gap[:, 2] * gap[:, 2])
 
     def _nearest(self, points: Vectors, threads: int) -> Index:
-        """The face that Open3D names as nearest to places as the scene counts them."""
+        """Return the face that Open3D reports as nearest to points relative to the scene's origin."""
         if self._exact is None:
             self._exact = self._scene if self._brief else self._built(self._faces.corners.reshape(-1, 3).astype(np.float32))
         near = np.fmin(np.fmax(points, -_FARTHEST), _FARTHEST).astype(np.float32)  # NaN is nowhere, and has a nearest face too
@@ -328,8 +327,8 @@ class RayScene(Nearby):
         return face
 
     def depth(self, points: Vectors, threads: int = 1) -> NDArray[np.float64]:
-        """How far inside each point [n,3] is, mm: the way out for those from which most of three rays leave by an odd number of
-        faces, 0 for the others. Meshes are taken to be closed."""
+        """Return how far inside each point [n,3] is, in mm: the distance to the surface if at least two of three rays cross an
+        odd number of faces, else 0. Meshes are assumed to be closed."""
         deep = np.zeros(len(points))
         if not self._empty and len(points):
             local = self._tensor((np.asarray(points, np.float64) - self.origin).astype(np.float32))

@@ -1,4 +1,4 @@
-"""What rounding may do to a crossing, and what is too short to be told."""
+"""Tolerances: the effect of rounding on a crossing, and lengths that are too short to resolve."""
 
 CLOSED = 1e-9  # weight by which a crossing may lie outside of a face, so that none is lost between two of them
 TOUCHING = 1e-6  # mm: nearer than this to a face, it is the face itself that says which way is out

@@ -1,9 +1,8 @@
-"""Triangles in the cubes of a regular grid: the first that a short ray meets, and the nearest within some cells, in float64.
+"""Triangles in the cubes of a regular grid: the first that a short ray hits, and the nearest within some cells, in float64.
 
-A ray visits the cubes along it (J. Amanatides, A. Woo, A Fast Voxel Traversal Algorithm for Ray Tracing, Eurographics 1987), a
-place those around it, ring by ring; every face listed there is measured as `Faces` measures one. So the answer is that of all
-faces, the least distance and then the least number, whatever the cubes are: they only say which faces need not be asked.
-"""
+A ray visits the cubes along it (J. Amanatides, A. Woo, A Fast Voxel Traversal Algorithm for Ray Tracing, Eurographics 1987). A
+point visits the cubes around it, ring by ring. Every face listed there is measured as `Faces` measures it. So the answer is that
+of all faces: the least distance, then the least number. The cubes only exclude faces that need no test."""
 
 from __future__ import annotations
 
@@ -38,9 +37,13 @@ _THIN = 1e-8  # sine of the corner of a face, below which its plane is noise and
 
 
 class TriangleGrid:
-    """A grid of all faces. `tables`: lowest corner, edge, error of a bound, hair and origin (mm, float64[9]); cubes along each
-    axis, int64[3]; where the faces of each cube begin and their numbers, int32; of each of these, side by side, its plane and a
-    ball around it, float32[e,8]; planes (m, 3, 4), corners (m, 3, 3) and unit normals (m, 3) of all faces."""
+    """A grid of all faces. `tables` contains:
+
+    - lowest corner, edge, error of a bound, hair and origin (mm, float64[9])
+    - cubes along each axis, int64[3]
+    - where the faces of each cube begin, and their numbers, int32
+    - plane and bounding ball of each listed face, float32[e,8]
+    - planes (m, 3, 4), corners (m, 3, 3) and unit normals (m, 3) of all faces"""
 
     def __init__(self, faces: Faces, planes: Floats, width: float, origin: Floats, lasting: bool = True) -> None:
         corners = faces.corners
@@ -67,8 +70,8 @@ class TriangleGrid:
 
     @staticmethod
     def of(faces: Faces, origin: Floats, lasting: bool = True) -> TriangleGrid | None:
-        """A grid where one is of use and not too large: its size is reckoned before anything is allocated. `origin`: where in the
-        world the faces' zero is; `lasting`: whether another run may ask for the same faces."""
+        """Return a grid if it is useful and not too large; None otherwise. Its size is computed before any allocation. `origin`:
+        the world position of the faces' zero. `lasting`: whether another run may need the same faces."""
         tables = faces.tables()
         width = None if tables is None else _width(faces.corners)
         if tables is None or width is None:
@@ -79,8 +82,8 @@ class TriangleGrid:
     # ---- rays
 
     def first(self, origin: Floats, way: Floats, threads: int = 1) -> tuple[Floats, Index]:
-        """The first face that rays from `origin` [n,3] meet within their `way` [n,3], after what part of it, but not within a
-        hair of their start. NOTHING where there is none, FURTHER for rays that are too long."""
+        """Return the first face that rays from `origin` [n,3] meet within their `way` [n,3], and the part of `way` there. Hits
+        within a `hair` of the start are ignored. The face is NOTHING if there is none, FURTHER for rays that are too long."""
         t, face = np.empty(len(origin)), np.empty(len(origin), np.int64)
         work = partial(grid_rays.firsts, self.tables, origin, way, t, face)
         parallel.in_parts(work, len(origin), threads, _RAYS)
@@ -89,9 +92,9 @@ class TriangleGrid:
     def faced(
         self, origin: Floats, way: Floats, normals: Floats, named: Index, threads: int = 1
     ) -> tuple[tuple[Index, Floats, Floats], int]:
-        """Of rays from places in the world those that `first` finds a face for: their numbers, ascending, after what part of
-        their way, and the normal (3, k), of those of (3, m) which each face has by its `named` number; and for how many the grid
-        cannot tell."""
+        """Return the rays from world positions for which `first` finds a face: numbers, ascending, the part of the length, and
+        the normal (3, k). Normals come from `normals` (3, m), by the `named` number of each face. Also returns the number of rays
+        that the grid cannot resolve."""
         which, found = np.empty(len(origin), np.int64), np.empty((4, len(origin)))
         work = partial(grid_rays.faced, self.tables, origin, way, normals, named, which, found)
         parts = parallel.in_parts(work, len(origin), threads, _RAYS)
@@ -99,30 +102,31 @@ class TriangleGrid:
         return (which, found[0], found[1:]), sum([left for _, _, left in parts])
 
     def feelers(self, place: Columns, direction: Columns, reach: Singles) -> tuple[Singles, int]:
-        """What feelers touch that are as long as `reach`, from places along unit directions, float32 columns in the world:
-        distance (inf = nothing, NaN for who has to ask elsewhere) and unit normal towards the asker, float32[4,n]; and how many
-        have to."""
+        """Return the hits of feelers as long as `reach`, from positions along unit directions, float32 columns in the world. The
+        result is float32[4,n]: distance (inf = no hit, NaN = the grid cannot answer) and unit normal towards the feeler's origin.
+        Return also the number of feelers that it cannot answer."""
         found = np.empty((4, len(reach)), np.float32)
         return found, grid_rays.feelers(self.tables, _plain(*place, *direction, reach), found)
 
     def felt(self, places: Arrays, asking: NDArray[np.bool_], ways: Arrays, found: Arrays, threads: int = 1) -> int:
-        """As `feelers`, for those of n places (x y z and how far these have no face) who are `asking`, along `ways` of any
-        length, the last of which is how far they reach; into `found` (whether, distance, normal x y z) of those who touch
-        something or have to ask elsewhere."""
+        """As `feelers`, for those of n positions that are `asking`. `places`: x y z and the distance free of faces; `ways`: x y z
+        of any length, and the reach. Writes `found` (hit, distance, normal x y z) for rows that touch something or that the grid
+        cannot resolve."""
         work = partial(grid_rays.felt, self.tables, places, asking, ways, found)
         return sum(parallel.in_parts(work, len(asking), threads))
 
     # ---- nearest faces
 
     def apart(self, place: Columns, threads: int = 1) -> tuple[Singles, int]:
-        """How far (mm) places are out of the faces, below 0 behind the nearest, NaN for who has to ask elsewhere, and the unit
-        way out, float32[4,n]; and how many have to."""
+        """Return the signed distance (mm) to the faces and the unit direction out, float32[4,n]. It is negative behind the
+        nearest face and NaN where the grid cannot tell. Also returns how many rows are NaN."""
         found = np.empty((4, len(place[0])), np.float32)
         work = partial(nearest_faces.apart, self.tables, _plain(*place), found)
         return found, sum(parallel.in_parts(work, len(place[0]), threads, _RAYS))
 
     def nearest(self, points: Floats) -> tuple[Floats, Floats, Index]:
-        """The place nearest to each point [n,3], its square distance and its face; FURTHER where none is near enough to tell."""
+        """Return the position nearest to each point [n,3], its squared distance and its face; FURTHER if no face is near enough
+        to tell."""
         place, square, face = np.empty((len(points), 3)), np.empty(len(points)), np.empty(len(points), np.int64)
         nearest_faces.nearests(self.tables, points, place, square, face)
         return place, square, face
@@ -134,7 +138,8 @@ def _plain(*columns: Singles) -> tuple[Singles, ...]:
 
 
 def _lists(corners: Floats, low: Floats, size: Index, width: float) -> stored_tables.Tables:
-    """Where the faces of each cube begin, and their numbers, of a grid of so many cubes from its lowest corner on."""
+    """Return the start of each cube's faces in a list, and that list of face numbers, for a grid of `size` cubes from its lowest
+    corner."""
     count, keys = len(corners), [np.empty(0, np.int64)]
     for cell, face in triangle_cells((corners - low) / width, margin=_MARGIN):
         cell = np.minimum(np.maximum(cell, 0), size - 1)
@@ -146,7 +151,8 @@ def _lists(corners: Floats, low: Floats, size: Index, width: float) -> stored_ta
 
 
 def _width(corners: Floats) -> float | None:
-    """The edge of cubes (mm): about that of the faces, larger where there would be too many cubes or faces in them."""
+    """Return the edge of cubes (mm): about that of the faces, larger if there would be too many cubes or too many faces per
+    cube."""
     if not len(corners):
         return None
     lengths, area = sides_and_area(corners)
@@ -164,7 +170,8 @@ def _width(corners: Floats) -> float | None:
 
 
 def _bounds(corners: Floats, normals: Floats) -> Singles:
-    """Planes (unit normal and -distance from the origin) and balls (middle, in the plane, and radius) of faces, float32[m,8]."""
+    """Return planes (unit normal and -distance from the origin) and bounding balls (centre, in the plane, and radius) of faces,
+    float32[m,8]."""
     plane = np.concatenate([normals, -dot(normals, corners[:, 0])[:, None]], axis=1)
     middle = (corners[:, 0] + corners[:, 1] + corners[:, 2]) / 3.0
     away = corners - middle[:, None]
@@ -173,7 +180,7 @@ def _bounds(corners: Floats, normals: Floats) -> Singles:
 
 
 def _sound(corners: Floats, planes: Floats) -> Floats:
-    """Planes [m,3,4], all zero of faces that are too thin to have one."""
+    """Return planes [m,3,4], set to zero for faces that are too thin to define one."""
     one, two = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
     size = dot(planes[:, 0, :3], planes[:, 0, :3])
     thin = ~(size > _THIN * _THIN * (dot(one, one) * dot(two, two)))

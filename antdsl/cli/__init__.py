@@ -1,4 +1,4 @@
-"""The command line: one file a command, each with flags, a call into the chain, printing and an exit code."""
+"""The command line: one file per command, each with flags, a call into the pipeline, printing and an exit code."""
 
 from antdsl.child_processes import isolate
 
@@ -136,7 +136,7 @@ def _root(
 
 
 def main() -> None:
-    """Run a command and leave with its exit code; nothing that a person can do ends in a traceback."""
+    """Run a command and exit with its code; no user mistake ends in a traceback."""
     _restart_with_safe_path()
     guard_streams()
     code = _deliver(_run())
@@ -146,7 +146,8 @@ def main() -> None:
 
 
 def _restart_with_safe_path() -> None:
-    """Children of `python -E` ignore the environment, which would keep them from the working directory: use a flag then."""
+    """Restart Python with its safe-path flag under `python -E`: its children ignore the environment variable that excludes the
+    working directory."""
     if sys.flags.ignore_environment and not sys.flags.safe_path:
         command = [sys.executable, "-P", *sys.orig_argv[1:]]
         if os.name == "posix":
@@ -157,7 +158,7 @@ def _restart_with_safe_path() -> None:
 
 
 def _deliver(code: int) -> int:
-    """Hand what is buffered to its readers; the exit code, which says so where a part of the result is lost."""
+    """Flush buffered output and return the exit code, which reports the loss if a part of the result could not be written."""
     try:
         loss = close_streams()
     except KeyboardInterrupt:  # the work is done, and nothing reads the rest
@@ -176,7 +177,7 @@ def _run() -> int:
 
 
 def _require_text(words: list[str]) -> None:
-    """Names of files go into manifests, tables and stages, which are UTF-8: refuse a name that is not before any work."""
+    """Reject file names that are not UTF-8 before any work: names go into manifests, tables and stages, which are UTF-8."""
     for word in words:
         try:
             word.encode()
@@ -188,7 +189,7 @@ def _require_text(words: list[str]) -> None:
 
 
 def _require_order(words: list[str]) -> None:
-    """`--trust-usd` is of all commands, so it goes before the command: say so where it comes after."""
+    """Raise Stop if `--trust-usd` comes after the command: it belongs to all commands, so it must precede the command."""
     own = words[: words.index("--")] if "--" in words else words
     if "--trust-usd" in own and not own[0].startswith("-"):
         rest = [word for word in words if word != "--trust-usd"]

@@ -1,4 +1,4 @@
-"""Words of the command line to values: `NAME=VALUE`, ranges of frames, granted roots."""
+"""Parses words of the command line: `NAME=VALUE`, ranges of frames, granted roots."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 
 def pairs(words: Iterable[str], flag: str) -> dict[str, str]:
-    """`NAME=VALUE` words as a mapping; wrong use otherwise."""
+    """Return `NAME=VALUE` words as a mapping; raise a usage error for any other word."""
     found = {}
     for word in words:
         name, sign, value = word.partition("=")
@@ -31,12 +31,12 @@ STDIN = Path("-")
 
 
 def standard_input() -> bytes:
-    """A program from standard input, cut where it is longer than a file may be."""
+    """Read a program from standard input, truncated at the size limit of files."""
     return sys.stdin.buffer.read(limits.ANT_FILE_BYTES + 1)
 
 
 def grants(words: Iterable[str]) -> dict[str, Path]:
-    """`--root NAME=DIR` words; the folders must be there."""
+    """Return `--root NAME=DIR` words as a mapping; the folders must exist."""
     found = {}
     for name, folder in pairs(words, "--root").items():
         path = Path(folder)
@@ -49,7 +49,7 @@ def grants(words: Iterable[str]) -> dict[str, Path]:
 
 
 def require_scene(path: Path, hint: str = "SCENE") -> None:
-    """Wrong use where a path is a program or a folder and a scene is wanted; the message names a scene of the folder."""
+    """Raise BadParameter if a scene is needed and the path is a program or a folder. The message names a scene of the folder."""
     if path.suffix == ".ant":
         raise typer.BadParameter(f"`{path}` is a program; name a scene that uses it, such as scene.yaml", param_hint=hint)
     if path.is_dir():
@@ -75,7 +75,7 @@ def frame_range(text: str | None, flag: str = "--frames") -> FrameRange | None:
 
 
 def number_set(text: str | None, flag: str) -> frozenset[int] | None:
-    """Whole numbers of a list such as `3,8..12`; None for None."""
+    """Return the integers of a list such as `3,8..12`; None for None."""
     if text is None:
         return None
     found: set[int] = set()
@@ -92,8 +92,8 @@ def number_set(text: str | None, flag: str) -> frozenset[int] | None:
 
 
 def open_time(text: str | None, flag: str = "--shutter") -> tuple[float, float] | None:
-    """`A..B` as when a shutter opens and closes, in frames from the frame itself; at most one frame, which is near. None for
-    None."""
+    """Return the opening and closing time of a shutter from `A..B`, in frames relative to the frame. Both lie from -1 to 1, at
+    most one frame apart. None for None."""
     if text is None:
         return None
     found = re.fullmatch(r"(-?\d*\.?\d+)\.\.(-?\d*\.?\d+)", text.strip(), re.ASCII)

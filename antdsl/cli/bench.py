@@ -1,4 +1,4 @@
-"""`antdsl bench`: how long steps take, phase by phase, beside other backends and a frame written by hand."""
+"""`antdsl bench`: the duration of steps, phase by phase, compared with other backends and a hand-written frame."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ def bench(
 
 
 def _backends(asked: list[str]) -> list[str]:
-    """The backends asked for, each once; without any, all but the slowest."""
+    """Return the requested backends, each once; without any, all but the slowest. Raises BadParameter for an unknown one."""
     from antdsl.runtime.backends import BACKENDS
 
     for name in asked:
@@ -71,7 +71,8 @@ def _backends(asked: list[str]) -> list[str]:
 
 
 def _jobs(cases: list[str], agents: list[int]) -> list[tuple[str, int | None]]:
-    """Cases with numbers of agents: those asked for, else those of the case; without cases, those of a quick look."""
+    """Return cases with numbers of agents: the requested ones, else those of the case. Without cases, return those of a quick
+    look."""
     from antdsl.bench import CASES
 
     if not cases:
@@ -89,7 +90,7 @@ def _jobs(cases: list[str], agents: list[int]) -> list[tuple[str, int | None]]:
 
 
 def _openable(name: str) -> None:
-    """Tell what is wrong with a scene before anything is measured."""
+    """Report the errors of a scene before anything is measured."""
     from antdsl.bench import CASES
     from antdsl.cli.printing.reports import demand
     from antdsl.pipeline import open_scene

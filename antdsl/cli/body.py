@@ -1,5 +1,5 @@
-"""`antdsl body FILE`: what is in an agent definition: joints, shapes, layers, clips, transform groups, metadata; and
-writing it as another kind of file."""
+"""`antdsl body FILE`: prints an agent definition: joints, shapes, layers, clips, transform groups, metadata; and converts it to
+another kind of file."""
 
 from __future__ import annotations
 
@@ -72,7 +72,7 @@ def body(
 
 
 def _written(body: Definition, source: Path, to: Path, layer: str, quiet: bool) -> None:
-    """Write a definition as another kind of file, and say what is left out."""
+    """Write a definition as another kind of file, and report what is left out."""
     from antdsl.bodies.files.definition_written import definition_files
     from antdsl.bodies.files.gltf_written import write_gltf
     from antdsl.bodies.posed_body import own_layer

@@ -1,4 +1,4 @@
-"""`antdsl check PATH…`: all that can be known about programs and scenes without running them."""
+"""`antdsl check PATH…`: all checks of programs and scenes that need no run."""
 
 from __future__ import annotations
 
@@ -129,7 +129,7 @@ def _strict(report: Report) -> Report:
 
 
 def _explain(word: str) -> None:
-    """The page of a code, or what is known about a word of the language, of scenes or of the library."""
+    """Print the page of a code, or what is known about a word of the language, of scenes or of the library."""
     import re
 
     from antdsl.cli.printing.pages import show, show_page

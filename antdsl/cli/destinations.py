@@ -1,5 +1,5 @@
-"""Where results are to go is tried before the work begins, so that hours of it are not lost to a name that cannot be written,
-and held against what the work reads, so that no input is lost to a result."""
+"""Checks of output paths before the work begins. Results must be writable, so that hours of work are not lost. They must not
+overwrite any input."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ from antdsl.whole import new_beside, write_whole
 
 
 def file_to_write(path: Path | None, flag: str) -> None:
-    """Leave with words about `flag` where no file can be put at a path; None is fine. Nothing is left behind, and a file that is
-    there stays as it is."""
+    """Exit with a message about `flag` if no file can be written at a path; None is fine. The check leaves no file behind and
+    does not change existing ones."""
     if path is None or is_output(path) or _same(path, Path(os.devnull)):
         return
     if path.is_dir():
@@ -38,15 +38,15 @@ def is_output(path: Path | None) -> bool:
 
 @contextmanager
 def words_aside(*paths: Path | None) -> Iterator[TextIO]:
-    """Where one of these results goes to standard output, what is printed meanwhile goes to standard error. Gives the standard
-    output, for `put`."""
+    """Redirect prints to standard error if one of these results goes to standard output. Yields the standard output, for
+    `put`."""
     output = sys.stdout
     with redirect_stdout(sys.stderr) if any(map(is_output, paths)) else nullcontext():
         yield output
 
 
 def put(path: Path | None, data: bytes, output: TextIO) -> None:
-    """A result to where it was asked for, whole: a file, standard output, or nowhere."""
+    """Write a result to the requested place: a file (atomically), standard output, or nowhere."""
     if path is None or _same(path, Path(os.devnull)):
         return
     if not is_output(path):
@@ -58,8 +58,8 @@ def put(path: Path | None, data: bytes, output: TextIO) -> None:
 
 
 def default_place(base: Path, *names: str, flag: str = "--out") -> Path:
-    """Where results go below `base` if the user names no place with `flag`. Leave where one of `names` is a link: it could lead
-    anywhere, and only the user may choose that."""
+    """Return the default output path below `base`, where the user names none with `flag`. Exit if one of `names` is a link: it
+    could lead anywhere, and only the user may choose that."""
     from antdsl.whole import first_link
 
     link = first_link(base, *names)
@@ -70,7 +70,7 @@ def default_place(base: Path, *names: str, flag: str = "--out") -> Path:
 
 
 def folder_to_write(path: Path | None, flag: str, *names: str) -> None:
-    """The same for files of some names in a folder that is made where it is not there."""
+    """Make the same check for files of some names in a folder that is created if missing."""
     if path is None:
         return
     there = next(each for each in (path.absolute(), *path.absolute().parents) if os.path.lexists(each))
@@ -87,8 +87,8 @@ def folder_to_write(path: Path | None, flag: str, *names: str) -> None:
 def keeping_inputs(
     files: Mapping[str, Path | None], folders: Mapping[str, tuple[Path | None, Iterable[str]]] | None = None
 ) -> Iterator[list[Path]]:
-    """Leave where a result, by its flag, would take the place of a file that is read meanwhile, of one that is put into the list
-    given, of one that comes with antdsl, or of another result. `folders`: each with the names of what is put into it."""
+    """Exit if a result, by its flag, would overwrite another result or an input. Inputs are files that are read meanwhile, files
+    in the yielded list, and files that come with antdsl. `folders`: output folders with the names that are written there."""
     from antdsl.resources import behaviours_folder
     from antdsl.scene.paths import sought
 
@@ -126,7 +126,7 @@ def _one_place(one: Path, other: Path) -> bool:
 
 
 def _top(path: Path, folder: Path) -> str | None:
-    """The first name on the way from a folder down to a path; None where it does not lie below."""
+    """Return the first path component below a folder on the way to a path; None if the path is not below it."""
     way, start = Path(os.path.realpath(path)), os.path.realpath(folder)
     return way.relative_to(start).parts[0] if way != Path(start) and way.is_relative_to(start) else None
 

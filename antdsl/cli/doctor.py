@@ -1,4 +1,4 @@
-"""`antdsl doctor`: what is installed here, what is missing, and how to get it."""
+"""`antdsl doctor`: what is installed, what is missing, and how to install it."""
 
 from __future__ import annotations
 
@@ -118,7 +118,7 @@ def _machine_code(problems: list[str]) -> None:
 
 
 def _kernels() -> None:
-    """Whether the installation has compiled kernels for this processor, this LLVM and these sources."""
+    """Print whether the installation has compiled kernels for this processor, this LLVM version and these sources."""
     from antdsl.machine_code import machine, shipped
     from antdsl.numerics.elementary_loops import cosines
 
@@ -130,7 +130,7 @@ def _kernels() -> None:
 
 
 def _tables() -> None:
-    """Whether tables of meshes are stored for other runs, and where not, why."""
+    """Print whether tables of meshes are stored for other runs, and if not, why."""
     from antdsl.numerics import stored_tables
 
     stored = stored_tables.store()
@@ -140,7 +140,7 @@ def _tables() -> None:
 
 
 def _sandbox(problems: list[str]) -> None:
-    """Which layers confine the process that reads foreign formats."""
+    """Print the layers that confine the process that reads foreign formats."""
     from antdsl.reader.client import ReaderFailure, active_layers
 
     try:

@@ -1,4 +1,4 @@
-"""`antdsl edit CACHE --smooth orient:9`: a cache changed after the run, into a cache of its own."""
+"""`antdsl edit CACHE --smooth orient:9`: changes a cache after the run, into a separate cache."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def edit(
     force: bool = typer.Option(False, "--force", help="Write even into a folder that has other files."),
     quiet: bool = typer.Option(False, "--quiet", "-q", help="Print nothing but problems."),
 ) -> None:
-    """Write a cache anew with its orientations smoothed over time."""
+    """Write a copy of a cache with its orientations smoothed over time."""
     from antdsl.outputs.cache.cache_reader import NAMES, CacheError, open_cache
     from antdsl.outputs.cache.cache_writer import ForeignFolder, InTheWay
     from antdsl.outputs.cache.lock import Locked

@@ -30,7 +30,7 @@ class Exit(IntEnum):
     USAGE = 2
     INPUT_OUTPUT = 3
     BUG = 70
-    TERMINATED = 75  # by SIGTERM, all that was done is kept: sysexits' EX_TEMPFAIL, "try again later"
+    TERMINATED = 75  # by SIGTERM, all completed work is stored: sysexits' EX_TEMPFAIL, "try again later"
     INTERRUPTED = 130  # what shells expect after Ctrl-C
 
 
@@ -57,7 +57,7 @@ _STARTS = frozenset(["subprocess", "multiprocessing.popen_fork", "multiprocessin
 
 
 def is_out_of_memory(problem: BaseException | None) -> bool:
-    """Whether an error, or one that led to it, says that the system gave no memory, no thread or no process."""
+    """Return whether an error, or one of its causes, means that the system refused memory, a thread or a process."""
     seen: set[int] = set()
     while problem is not None and id(problem) not in seen:
         seen.add(id(problem))
@@ -77,7 +77,7 @@ def _has(words: str, parts: tuple[str, ...]) -> bool:
 
 
 def _has_no_process(problem: OSError) -> bool:
-    """Whether the system gave no memory, or refused to start a process for want of it."""
+    """Return whether the system refused memory, or refused a process for lack of it."""
     if problem.errno != EAGAIN:
         return problem.errno == ENOMEM
     place = problem.__traceback__
@@ -88,7 +88,8 @@ def _has_no_process(problem: OSError) -> bool:
 
 @contextmanager
 def report_failures(what: str, again: str = AGAIN) -> Iterator[None]:
-    """End the command with exit code 3 where the disk or memory fails. `what` could not be done; `again`: how to continue."""
+    """End the command with exit code 3 if the disk or memory fails. `what`: the operation that failed; `again`: how to
+    continue."""
     try:
         yield
     except (BrokenPipeError, Stop):  # the reader of standard output is gone: that is not the disk
@@ -101,14 +102,14 @@ def report_failures(what: str, again: str = AGAIN) -> Iterator[None]:
 
 
 def machine_failure(problem: Exception) -> OSError | MemoryError | None:
-    """The error as one of the disk or of memory, whatever library reports it; None where it is of neither."""
+    """Return the error as one of the disk or of memory, whichever library raised it; None if it is neither."""
     if is_out_of_memory(problem):
         return MemoryError()
     return problem if isinstance(problem, OSError) else None
 
 
 def failure(problem: OSError | MemoryError, what: str = "", again: str = AGAIN) -> Stop:
-    """The end of a command for a failure of the disk or of memory."""
+    """Return the exception that ends a command after a failure of the disk or of memory."""
     if isinstance(problem, MemoryError):
         words = "error: out of memory; fewer agents, larger cells or a lighter mesh need less"
         return Stop(Exit.INPUT_OUTPUT, words, f"once there is more, {again}")
@@ -120,8 +121,8 @@ def failure(problem: OSError | MemoryError, what: str = "", again: str = AGAIN) 
 
 
 def limit_threads() -> None:
-    """Where the address space of this process is limited, keep NumPy's library of linear algebra, which is not loaded yet, from
-    threads that take some of it each: it ends the process when it gets none. Stop where one thread would not find room."""
+    """Limit threads if the address space of this process is limited. NumPy's linear algebra library, not loaded yet, reserves
+    memory for each thread and ends the process when it gets none. Raises Stop if the limit is too low even for one thread."""
     from antdsl.numerics.host import address_space
 
     most = address_space()
@@ -143,5 +144,5 @@ def _has_working_directory() -> bool:
 
 
 def advice(problem: OSError) -> str:
-    """What to do before a command continues: the beginning of a sentence."""
+    """Return what to do before a command continues: the start of a sentence."""
     return _FIRST.get(problem.errno or 0, "once that is mended,")

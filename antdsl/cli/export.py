@@ -1,4 +1,4 @@
-"""`antdsl export CACHE --to FILE`: a cache for other programs, as USD, glTF, points, tables, arrays or meshes."""
+"""`antdsl export CACHE --to FILE`: converts a cache for other programs: USD, glTF, points, tables, arrays or meshes."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 
 def _no_form(to: Path) -> str:
-    """Why there is no export of a file's ending, and what to name instead."""
+    """Return why a file's suffix has no export, and which to use instead."""
     from antdsl.outputs.exports import EXPORTS, INSTEAD
 
     if str(to) == "-":

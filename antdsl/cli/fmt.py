@@ -1,4 +1,4 @@
-"""`antdsl fmt PATH…`: lays .ant files out in the one way; files with mistakes are told about and left alone."""
+"""`antdsl fmt PATH…`: formats .ant files in one style; files with mistakes are reported and left alone."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def _empty() -> Report:
 
 @dataclass
 class _Work:
-    """What was found so far. `report` holds the mistakes of files that were left alone; their warnings are for `check`."""
+    """The results so far. `report` holds the errors of files that were left unchanged; their warnings are for `check`."""
 
     check: bool
     diff: bool
@@ -113,7 +113,7 @@ class _Work:
             self.tell("<stdin>", data.decode("utf-8"), text)
 
     def formatted(self, source: object, report: Report) -> str | None:
-        """The text of a source in the one layout; None with complaints where there is none."""
+        """Return the text of a source in the standard layout; None with findings if it cannot be formatted."""
         from antdsl import syntax
         from antdsl.source import Source
 

@@ -63,7 +63,7 @@ def graph(
 
 
 def _format(format: Format | None, out: Path | None) -> str:
-    """What was asked for, or what the file's ending says."""
+    """Return the requested format, or the one that the file's ending implies; without either, the default."""
     from antdsl.graphs import FORMATS
 
     if format is not None:
@@ -78,7 +78,7 @@ def _format(format: Format | None, out: Path | None) -> str:
 
 
 def _named(charts: tuple[Chart, ...], names: list[str]) -> tuple[Chart, ...]:
-    """The charts of these species and machines, in the order of the text."""
+    """Return the charts of the named species and machines, in the order of the text."""
     from antdsl.diagnostics.suggestion import nearest_name
 
     known = dict.fromkeys(part for chart in charts for part in (chart.title.partition(".")[0], chart.title))

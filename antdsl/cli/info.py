@@ -1,4 +1,4 @@
-"""`antdsl info CACHE`: what is in a cache, and what it was made from."""
+"""`antdsl info CACHE`: prints the contents of a cache, and its inputs."""
 
 from __future__ import annotations
 
@@ -82,7 +82,7 @@ def describe(cache: Cache) -> list[str]:
 
 
 def _patches(mesh: MeshEntry, units: str) -> str:
-    """Of a surface of heights, how near its triangles are to the bilinear surface through its samples."""
+    """Return, for a surface of heights, the distance of its triangles from the bilinear surface through its samples."""
     if mesh.deviation is None:
         return ""
     return f", samples of heights: at most {mesh.deviation:.3g} {units} off the bilinear surface through them"
@@ -94,7 +94,7 @@ def _fps(text: str) -> str:
 
 
 def _verify(cache: Cache) -> None:
-    """Hold every frame and checkpoint against what was written. What is missing between frames counts as damage."""
+    """Compare every frame and checkpoint with the stored hashes. A missing frame between others counts as damage."""
     from antdsl.outputs.cache.cache_reader import STATIC
     from antdsl.outputs.cache.hashes import HASHES
     from antdsl.outputs.provenance import resume_command

@@ -99,7 +99,7 @@ def jobs(
 
 
 def _looks(text: str) -> tuple[str, ...]:
-    """Further words of `antdsl render`, once that command takes them."""
+    """Return the extra arguments of `antdsl render`, after that command has accepted them."""
     from antdsl.cli.render import render
 
     # typer's versions have click beside them or within

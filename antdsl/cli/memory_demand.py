@@ -1,4 +1,4 @@
-"""Whether there is memory for a run: an estimate from counts, held against what is available, before anything is made."""
+"""Checks memory before a run: an estimate from counts, compared with what is available, before anything is allocated."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _NAMED = 3  # things that a message names
 
 
 def work_of(shot: Shot) -> list[Work]:
-    """What the world of a shot and its crowd have to allocate."""
+    """Return the allocations that the world of a shot and its crowd need."""
     from antdsl.plan.registers import memory
     from antdsl.program.model import Const
     from antdsl.runtime.binding.world_work import world_work
@@ -36,8 +36,8 @@ def work_of(shot: Shot) -> list[Work]:
 
 
 def demand_memory(shots: Sequence[Shot], at_once: int = 1, runs: int = 1) -> None:
-    """End the command where the `at_once` largest runs need more than 80 % of the memory that is available; each shot is run
-    `runs` times. Stop names the largest things, at the place of the largest in its scene."""
+    """End the command if the `at_once` largest runs need more than 80 % of the available memory; each shot is run `runs` times.
+    Stop names the largest allocations, at the scene's place of the largest."""
     from antdsl.numerics.host import available_memory
 
     there = available_memory()
@@ -57,7 +57,7 @@ def demand_memory(shots: Sequence[Shot], at_once: int = 1, runs: int = 1) -> Non
 
 
 def _place(shot: Shot, work: Work) -> Span:
-    """Where the scene, or its program, says what needs so much."""
+    """Return the place in the scene, or in its program, that causes an allocation."""
     kind, _, name = work.thing.partition(" ")
     if kind == "field":
         return shot.program.fields[name].span

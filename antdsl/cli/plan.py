@@ -1,4 +1,4 @@
-"""`antdsl plan FILE`: the array passes that a program became."""
+"""`antdsl plan FILE`: prints the array passes that a program compiles to."""
 
 from __future__ import annotations
 
@@ -47,7 +47,8 @@ def plan(
 
 
 def _as_code(made: Plan, setting: Setting | None, code: bool) -> str:
-    """`setting`: of the scene; None for a program by itself."""
+    """Return the listing of a plan's machine code. `setting`: that of the scene, or None for a program alone. `code`: append the
+    text of the code. Raises Stop where no machine code can be made."""
     from antdsl.machine_code import machine
     from antdsl.runtime.backends.native import listing
     from antdsl.runtime.backends.native.programs import Facts

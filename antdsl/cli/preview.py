@@ -76,7 +76,7 @@ def _listen(host: str | None, port: int | None, let_others_in: bool) -> Listenin
 
 
 def _live(scene: Path, choices: Choices, threads: int) -> Live:
-    """Who simulates. Where the files have mistakes they are told, and it begins as soon as they are mended."""
+    """Return the live simulation. Mistakes in the files are reported; the simulation begins as soon as they are corrected."""
     from antdsl.cli.printing.reports import show, verdict
     from antdsl.cli.run import at_once
     from antdsl.preview.live import Live
@@ -92,7 +92,8 @@ def _live(scene: Path, choices: Choices, threads: int) -> Live:
 
 
 def _only_by(choices: Choices, live: Live) -> bool:
-    """Whether the files are fine without the values that the command line sets: then there is nothing in them to be mended."""
+    """Return whether the files have no errors without the values from the command line: then the command line must be corrected,
+    not the files."""
     from dataclasses import replace
 
     if not choices.params:
@@ -102,7 +103,7 @@ def _only_by(choices: Choices, live: Live) -> bool:
 
 
 def _serve(live: Live, scene: Path, listening: Listening, *, open_it: bool, others: bool, again: bool) -> None:
-    """`again`: it may be started again on this port, and pages that are open now come back to it."""
+    """Serve the preview. `again`: it may be restarted on this port, and pages that are open now reconnect to it."""
     from antdsl.preview.serving.guard import Guard, Returning
     from antdsl.preview.serving.pages import pages
     from antdsl.preview.serving.server import Server, serve_here
@@ -135,7 +136,7 @@ def _serve(live: Live, scene: Path, listening: Listening, *, open_it: bool, othe
 
 
 def _open(address: str) -> None:
-    """Open a browser, where there is a screen: those that run in a terminal would take this one."""
+    """Open a browser if there is a screen; a text browser would take over this terminal."""
     import os
     import sys
     import webbrowser

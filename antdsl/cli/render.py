@@ -236,8 +236,8 @@ def _ids(text: str | None) -> tuple[int, ...]:
 def _draw(
     gallery: Gallery, wanted: Drawn, frames: list[int], together: list[int], threads: int, kept: Stills | None
 ) -> Iterator[tuple[int, Any, bool]]:
-    """Frames with their pictures, and whether those were drawn or `kept` already. `together`: the frames that the camera is
-    chosen for."""
+    """Yield frames with their pictures, and whether these were drawn (True) or taken from `kept`. `together`: the frames for
+    which the camera is chosen."""
     from antdsl.outputs.cache.cache_reader import CacheError
     from antdsl.outputs.drawing import Drawer, NoAgent
     from antdsl.outputs.gallery import NoPicture
@@ -266,7 +266,7 @@ def _draw(
 def _by_cluster(
     where: Where, cache: Path, wanted: Drawn, frames: list[int], together: list[int], folder: Path, fps: float | None
 ) -> None:
-    """Stills that workers draw, or, with `fps`, a film of them."""
+    """Draw stills on a cluster's workers, or, with `fps`, a film of them."""
     from antdsl.outputs.drawing import still_path
     from antdsl.shots.stills import tasks
 
@@ -283,7 +283,7 @@ def _by_cluster(
 
 
 def _film_of_stills(paths: list[Path], path: Path, fps: float, pixels: int) -> None:
-    """Put pictures of so many pixels into a film, and remove them."""
+    """Combine pictures of `pixels` pixels into a film, and remove them."""
     from antdsl.bounded import read_bounded
     from antdsl.cli.printing.reports import demand
     from antdsl.outputs.drawing import STILL_BYTES
@@ -307,7 +307,7 @@ def _film_of_stills(paths: list[Path], path: Path, fps: float, pixels: int) -> N
 
 
 def _ready_for_films() -> None:
-    """Say so before anything is drawn, if the extra is missing."""
+    """Report a missing extra before anything is drawn."""
     from antdsl.cli.printing.reports import demand
     from antdsl.outputs.pictures import film_ready
 
@@ -315,7 +315,7 @@ def _ready_for_films() -> None:
 
 
 def _film(images: Iterator[Any], gallery: Gallery, folder: Path) -> None:
-    """Pictures go into the film as they are drawn, none is kept."""
+    """Write pictures to the film as they are drawn; none is stored."""
     from antdsl.cli.printing.reports import demand
     from antdsl.outputs.pictures import film
 

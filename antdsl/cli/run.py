@@ -139,8 +139,8 @@ def run(
 
 
 def at_once(asked: int, quiet: bool = False) -> int:
-    """How many threads to use where so many are asked for, 0 being all: more than cores that may be used would only wait for each
-    other, and libraries complain about it."""
+    """Return the number of threads to use if `asked` are requested, 0 being all. It is at most the number of usable cores: more
+    threads would only wait for each other, and libraries complain about it. Unless `quiet`, a message reports a reduction."""
     there = cores()
     if asked > there and not quiet:
         say(f"`--threads {asked}`: this process may use {there} core{'s' * (there > 1)} here, so {there} at a time", err=True)
@@ -157,7 +157,7 @@ def _again(
     summary: Path | None,
     any_memory: bool,
 ) -> str:
-    """The command that goes on with a run: all that its results depend on, and where they are."""
+    """Return the command that continues a run: everything its results depend on, and their location."""
     import shlex
 
     words = ["antdsl", "run", str(scene)]
@@ -173,7 +173,7 @@ def _again(
 
 @contextmanager
 def _setting_up(again: str) -> Iterator[None]:
-    """SIGTERM ends the command with its own exit code here too, where there is no frame yet to be kept."""
+    """End the command with its exit code on SIGTERM during set-up, when there is no frame to store yet."""
     import signal
 
     def stop(number: int, frame: object) -> None:

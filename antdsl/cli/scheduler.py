@@ -49,7 +49,7 @@ _HOW = "pip install 'antdsl[cluster]'"
 
 
 def demand_scheduler(address: str | None, tls: Path | None, no_tls: bool) -> None:
-    """That the words for a scheduler fit together, before anything is made; wrong ones end the command."""
+    """Check that the scheduler arguments are consistent, before anything is created; wrong ones end the command."""
     if address is not None:
         _allowed(address, tls, no_tls)
     elif tls is not None or no_tls:
@@ -63,8 +63,9 @@ def demand_scheduler(address: str | None, tls: Path | None, no_tls: bool) -> Non
 def cluster(
     address: str, tls: Path | None, no_tls: bool, workers: int, threads: int, files: Iterable[Path], seen: Seen | None = None
 ) -> Iterator[Cluster]:
-    """The cluster of an address, whose workers have got the files, or see `seen` where they are. `workers` with so many `threads`
-    each, where it is started here. What is wrong ends the command; Lost where no scheduler answers."""
+    """Connect to the cluster at an address. Its workers have received the files, or see `seen` at its path. `workers` with
+    `threads` threads each are started if the cluster is local. Problems end the command; raises Lost where no scheduler
+    answers."""
     folder = _allowed(address, tls, no_tls)
     from importlib.util import find_spec
 
@@ -89,7 +90,7 @@ def cluster(
 
 
 def _allowed(address: str, tls: Path | None, no_tls: bool) -> Path | None:
-    """The folder of certificates for an address, or None where none are needed."""
+    """Return the folder of certificates for an address, or None if none is needed."""
     from antdsl.executors.tasks import TLS_FILES
 
     found = re.fullmatch(r"(tls|tcp)://(\[[0-9A-Fa-f:.]{2,45}\]|[A-Za-z0-9_.-]{1,253}):([0-9]{1,5})", address)
@@ -123,7 +124,8 @@ def _allowed(address: str, tls: Path | None, no_tls: bool) -> Path | None:
 
 
 def _demand_certificates(folder: Path) -> None:
-    """That the files of a folder are certificates, and the key that of the second: Dask would only say that nobody answers."""
+    """Raise BadParameter unless the files of a folder are certificates, with the key of the second. Dask would only report that
+    no scheduler answers."""
     import ssl
 
     from antdsl.executors.tasks import TLS_FILES
@@ -150,7 +152,7 @@ def _loopback(host: str) -> bool:
 
 
 class Terminated(KeyboardInterrupt):
-    """SIGTERM: as good as Ctrl-C, with an exit code of its own."""
+    """SIGTERM: treated like Ctrl-C, but with a separate exit code."""
 
 
 def code_of(why: BaseException) -> Exit:
@@ -160,7 +162,7 @@ def code_of(why: BaseException) -> Exit:
 
 @contextmanager
 def stoppable() -> Iterator[None]:
-    """Being asked to end by SIGTERM raises too, as Ctrl-C does."""
+    """Raise an exception on SIGTERM too, as on Ctrl-C, while the context is open."""
 
     def stop(number: int, frame: object) -> None:
         raise Terminated if number == signal.SIGTERM else KeyboardInterrupt
@@ -174,9 +176,9 @@ def stoppable() -> Iterator[None]:
 
 
 def answers(where: Where, cache: Path, to: Path, tasks: Callable[[Path, Destination], Iterable[Task]]) -> Iterator[Answered]:
-    """What became of tasks on the cluster `where` (its address, certificates, and whether it may go without), each once its files
-    are in the folder `to`. `tasks` is given the cache, whole and without links, and where files go. Ends the command where one
-    fails, once all are through, and where the scheduler is lost."""
+    """Yield the result of each task on the cluster `where`, once its files are in the folder `to`. `where`: address,
+    certificates, and whether it may run without them. `tasks` is called with the complete cache, its links resolved, and the
+    destination of files. If a task fails, the command ends after all have run; it also ends if the scheduler is lost."""
     from antdsl.bounded import real_path
     from antdsl.executors import Lost
     from antdsl.executors.parcel import Seen

@@ -1,4 +1,4 @@
-"""Several scenes, or one on a cluster: each simulated into a cache of its own, as tasks."""
+"""Several scenes, or one on a cluster: each is simulated into a separate cache, as tasks."""
 
 from __future__ import annotations
 
@@ -33,9 +33,9 @@ def run_shots(
     quiet: bool,
     any_memory: bool,
 ) -> None:
-    """Simulate scenes side by side. `out`: the folder for all caches; `options` as `shots.caches.task` has them; `where`: the
-    scheduler, its certificates, and whether it may go without; `any_memory`: start however much
-    they need; `threads`: of each, 0 to share out the cores."""
+    """Simulate scenes in parallel. `out`: the folder for all caches. `options`: as in `shots.caches.task`. `where`: the
+    scheduler, its certificates, and whether it may run without them. `any_memory`: start however much memory they need.
+    `threads`: of each scene, 0 to share out the cores."""
     from antdsl.cli.printing.reports import demand
     from antdsl.diagnostics import Report
     from antdsl.executors import Lost, Processes

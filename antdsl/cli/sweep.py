@@ -254,7 +254,7 @@ def _beginning(lines: str) -> str:
 
 
 class _Watch:
-    """Told how far runs are; prints a line for each that is finished, or nothing."""
+    """A listener for the progress of runs. It prints a line for each finished run, or nothing."""
 
     def __init__(self, total: int, quiet: bool, at_most: bool) -> None:
         self.total, self.quiet, self.count = total, quiet, 0
@@ -273,7 +273,7 @@ class _Watch:
             self.say(f"{self.count} {self.of}: {outcome.job.name}, {outcome.measures['frames']} frames")
 
     def noted(self, sentence: str) -> None:
-        """Something was otherwise than asked: told once, however many runs say it."""
+        """Print a message about a deviation from the request; once, however many runs send it."""
         if sentence not in self.notes:
             self.notes.add(sentence)
             say(sentence, err=True)
@@ -283,7 +283,7 @@ class _Watch:
 
 
 class _Bar(_Watch):
-    """One line that moves: runs that are finished, and the frames of those under way."""
+    """One updating line: finished runs, and the frames of those in progress."""
 
     def __init__(self, total: int, at_most: bool, bar: Any) -> None:
         super().__init__(total, False, at_most)

@@ -1,4 +1,4 @@
-"""The words of `antdsl sweep` to the runs that there are: what is asked, or was asked in a folder, checked before any runs."""
+"""From the arguments of `antdsl sweep` to its runs: the request, or the earlier request of a folder, checked before any run."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def nothing() -> list[str]:
     raise typer.BadParameter("name a scene, or go on with a sweep: `--resume --out DIR`", param_hint="SCENE")
 
 
-# The words that say which runs there are: those of a sweep that goes on are kept with it.
+# Options that define the runs: a sweep that is continued has stored them.
 _DECIDES = {
     "scenes": "the scenes",
     "vary": "`--vary`",
@@ -40,7 +40,8 @@ _DECIDES = {
 
 
 def asked_before(context: typer.Context, out: Path | None) -> Asked:
-    """What the sweep in a folder was asked for, where nothing is asked besides."""
+    """Return the request of the earlier sweep in a folder, which allows no further options. Raises BadParameter for wrong use,
+    Stop if there is no sweep."""
     from antdsl.sweep.study import NotAsked, kept
 
     for name, words in _DECIDES.items():
@@ -56,7 +57,7 @@ def asked_before(context: typer.Context, out: Path | None) -> Asked:
 
 
 def study_of(asked: Asked) -> tuple[Study, list[Job], Report]:
-    """The points of the design, and all runs of them; what is wrong with words ends the command as wrong use."""
+    """Return the points of the design, and all their runs; wrong arguments end the command with a usage error."""
     from antdsl.cli.arguments import frame_range, grants, pairs
     from antdsl.sweep import jobs, variations
     from antdsl.sweep.designs import choose
@@ -84,7 +85,7 @@ def study_of(asked: Asked) -> tuple[Study, list[Job], Report]:
 
 
 def scene_shots(study: Study, asked: Asked) -> list[Shot]:
-    """Each scene of a sweep, opened with the values that it has itself; their runs have others, and the same things."""
+    """Return each scene of a sweep, opened with its own values; the runs differ in values only, not in things."""
     from antdsl.cli.arguments import grants
     from antdsl.pipeline import Choices, open_scene
 
@@ -101,7 +102,7 @@ def _demand_words(report: Report) -> None:
 
 
 def widths_of(asked: Asked) -> list[Width]:
-    """The widths of `NAME=WIDTH` words, where there are seeds enough for any."""
+    """Return the widths of `NAME=WIDTH` words, if there are enough seeds for any."""
     from antdsl.cli.arguments import pairs
     from antdsl.sweep.stopping import Width, least_runs
 

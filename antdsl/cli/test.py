@@ -122,8 +122,8 @@ def test(
 
 @contextmanager
 def _ended_between_frames() -> Iterator[Callable[[], None]]:
-    """Gives what to call between frames: it raises KeyboardInterrupt once Ctrl-C came. Where it comes, an interrupt may be
-    swallowed by a library that is being called; a second one is raised there all the same."""
+    """Yield a function to call between frames: it raises KeyboardInterrupt after Ctrl-C. An immediate interrupt could be
+    swallowed by the library that is running. A second Ctrl-C raises immediately all the same."""
     import signal
 
     asked: list[int] = []
@@ -145,7 +145,7 @@ def _ended_between_frames() -> Iterator[Callable[[], None]]:
 
 
 class _Progress:
-    """Which run is under way and how far, on a terminal; nothing elsewhere."""
+    """The current run and its frame, shown on a terminal; nothing elsewhere."""
 
     def __init__(self, quiet: bool, runs: int) -> None:
         import sys

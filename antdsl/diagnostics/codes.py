@@ -1,4 +1,4 @@
-"""Every code with its meaning in one line. Codes are stable for ever; a room adds its own in its section, alphabetically."""
+"""Every code with its meaning in one line. Codes never change; each package adds its own in its section, alphabetically."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""JSON for other programs. `format_version` grows by a minor step when keys are added, by a major one when they change."""
+"""JSON for other programs. `format_version` increases by a minor step when keys are added, by a major one when they change."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def _range(span: Span) -> dict[str, Any]:
 
 
 def _place(source: Source, offset: int) -> dict[str, int]:
-    """Line and column count characters from 1, byte counts UTF-8 bytes from 0."""
+    """Return line and column, in characters from 1, and byte, in UTF-8 bytes from 0."""
     line, column = source.line_column(offset)
     byte = offset if source.text.isascii() else len(source.text[:offset].encode("utf-8", "surrogatepass"))
     return {"line": line, "column": column, "byte": byte}

@@ -48,7 +48,7 @@ def _snippet(span: Span, margin: int, arrow: str, mark: str, text: str) -> list[
 
 
 def _window(line: str, start: int, end: int) -> tuple[str, str, str]:
-    """The part of a line around a place, in three: before it, the place, after it."""
+    """Return the part of a line around a place, as three texts: before the place, the place, after it."""
     if len(line) <= _WIDEST:
         return safe_line(line[:start]), safe_line(line[start:end]), safe_line(line[end:])
     low = max(0, start - _WIDEST // 3)

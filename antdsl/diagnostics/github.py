@@ -1,4 +1,5 @@
-"""Workflow commands that GitHub shows beside the changed lines. Errors come first: GitHub drops what is too much in silence."""
+"""Workflow commands that GitHub shows beside the changed lines. Errors come first: GitHub silently drops findings above its
+limit."""
 
 from __future__ import annotations
 

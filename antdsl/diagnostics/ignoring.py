@@ -1,5 +1,5 @@
-"""Comments that ignore a warning and say why: `# antdsl: ignore[flicker] it is meant to be nervous`, at the end of the line that
-is warned about or on a line of its own above it."""
+"""Comments that ignore a warning and say why: `# antdsl: ignore[flicker] it is meant to be nervous`. They stand at the end of the
+line with the warning, or on a separate line above it."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _COMMENT = re.compile(r"(?:^|[ \t;{}])(#[ \t]*antdsl:[ \t]*ignore\[([^\]\n]*)\][
 
 @dataclass(frozen=True, slots=True)
 class Ignore:
-    """One comment: its place, the line it is about (counted from 1), its codes with their places, and the reason."""
+    """One comment: its place, the line it refers to (counted from 1), its codes with their places, and the reason."""
 
     span: Span
     line: int
@@ -53,7 +53,7 @@ def _below(source: Source, number: int) -> int:
 
 
 def without_ignored(report: Report) -> Report:
-    """The report less the warnings that a comment ignores."""
+    """Return the report without the warnings that a comment ignores."""
     known = {d.span.source for d in report.diagnostics if d.span is not None and d.severity == "warning"}
     about = {(source.path, ignore.line, code) for source in known for ignore in comments(source) for code, _ in ignore.codes}
     return Report([d for d in report.diagnostics if not _ignored(d, about)]) if about else report
@@ -68,9 +68,9 @@ def _ignored(found: Diagnostic, about: set[tuple[str, int, str]]) -> bool:
 def judged(
     report: Report, sources: Iterable[Source], *, strict: bool = False, sound: bool | None = None, meshes: bool = True
 ) -> Report:
-    """`without_ignored`, and warnings about comments that give no reason or ignore nothing. `sources` are all texts that were
-    looked at; `strict` and `meshes` say whether STRICT_CODES and MESH_CODES were looked for. RUN_CODES never are. With errors
-    most warnings are not looked for either: `sound` says that there are none, which the report says otherwise."""
+    """Return `without_ignored`, with warnings about comments that give no reason or ignore nothing. `sources` are all checked
+    texts; `strict` and `meshes` say whether STRICT_CODES and MESH_CODES were checked. RUN_CODES never are. Errors suppress most
+    warnings too: `sound` says that there are no errors; the default is taken from the report."""
     sound = report.ok if sound is None else sound
     unknown = RUN_CODES | (frozenset() if strict else STRICT_CODES) | (frozenset() if meshes else MESH_CODES)
     every = [*report.diagnostics, *report.answered]

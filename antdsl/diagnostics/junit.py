@@ -1,4 +1,4 @@
-"""JUnit XML for build servers: one test case for each complaint; warnings pass and say so, errors fail."""
+"""JUnit XML for build servers: one test case for each finding; warnings pass with a note, errors fail."""
 
 from __future__ import annotations
 

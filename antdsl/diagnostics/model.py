@@ -1,4 +1,4 @@
-"""A `Diagnostic` is one complaint with its place; a `Report` is what a stage has to complain about."""
+"""A `Diagnostic` is one finding with its place; a `Report` is the list of findings of a stage."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ Severity = Literal["error", "warning"]
 
 
 def printable(text: str, keep: str = "") -> str:
-    """The text with every character that does not print, such as NUL or ESC, replaced by U+FFFD, but for those in `keep`."""
+    """Return the text with every non-printing character, such as NUL or ESC, replaced by U+FFFD, except those in `keep`."""
     return "".join(c if c.isprintable() or c in keep else "\ufffd" for c in text)
 
 
@@ -23,14 +23,14 @@ _LONG_VALUE = re.compile(f"`([^`]{{{_QUOTED}}})[^`]+`")
 
 
 def shorten_values(text: str) -> str:
-    """The text with long quoted values cut, and cut itself where that is not enough."""
+    """Return the text with long quoted values shortened, and the text itself shortened if that is not enough."""
     text = _LONG_VALUE.sub(r"`\1…`", text)
     return text if len(text) <= _LINE else text[: _LINE - 1] + "…"
 
 
 @dataclass(frozen=True, slots=True)
 class Label:
-    """A second place that belongs to a complaint, with the words that say why."""
+    """A second place of a finding, with text that says why it matters."""
 
     span: Span
     text: str
@@ -46,7 +46,7 @@ class Fix:
 
 @dataclass(frozen=True, slots=True)
 class Diagnostic:
-    """One complaint: a stable code, one lower-case line that stands alone, a place, and what to write instead."""
+    """One finding: a stable code, a self-contained lower-case line, a place, and a correction."""
 
     code: str
     message: str
@@ -69,7 +69,7 @@ class Diagnostic:
 
 
 def _key(diagnostic: Diagnostic) -> tuple[str | int, ...]:
-    """By the name of the file and not by the text that was read: a file that many scenes extend is read for each of them."""
+    """Return a key that uses the file's name and not its text: a file that many scenes extend is read once for each of them."""
     span = diagnostic.span
     if span is None:
         return (diagnostic.code, diagnostic.message)
@@ -80,16 +80,16 @@ _INSTEAD = re.compile("(?:did you mean|write) `([^`…]+)`\\??")
 
 
 def replacement(message: str, span: Span | None, help: str | None) -> Fix | None:
-    """What an editor can put in place of a span, where the help is nothing but the text to write instead of what the message
-    names; None where the help says more, or the span covers something else."""
+    """Return the fix for a span if the help is only the replacement for the text that the message names. Return None if the help
+    says more, or the span covers something else."""
     found = _INSTEAD.fullmatch(help or "")
     return Fix(span, found[1]) if found and span is not None and f"`{span.text}`" in message else None
 
 
 @dataclass(slots=True)
 class Report:
-    """Everything one or more stages had to say. The same code at the same place is kept once. `answered`: warnings about a
-    program that do not hold for a scene which uses it, so that they hold nowhere."""
+    """Findings of one or more stages. The same code at the same place is stored once. `answered`: warnings about a program that
+    do not hold for a scene that uses it, so that they hold nowhere."""
 
     diagnostics: list[Diagnostic] = field(default_factory=list)
     answered: list[Diagnostic] = field(default_factory=list)
@@ -105,7 +105,7 @@ class Report:
             self.diagnostics.append(diagnostic)
 
     def answer(self, diagnostics: Iterable[Diagnostic]) -> None:
-        """Drop warnings, also where they are added later."""
+        """Drop these warnings from the report, also if they are added later."""
         found = list(diagnostics)
         keys = {_key(d) for d in found}
         self.answered += found
@@ -140,7 +140,7 @@ class Report:
         return not any(d.severity == "error" for d in self.diagnostics)
 
     def sorted(self) -> list[Diagnostic]:
-        """In order of file and place; complaints without a place come last."""
+        """Return the findings in order of file and place; those without a place come last."""
 
         def key(d: Diagnostic) -> tuple[int, str, int]:
             return (1, "", 0) if d.span is None else (0, d.span.source.path, d.span.start)

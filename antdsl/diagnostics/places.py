@@ -18,7 +18,7 @@ def safe(text: str) -> str:
 
 
 def safe_line(text: str) -> str:
-    """The same for a line of source: tabs become one blank, so that columns stay columns."""
+    """Return the same for a line of source: each tab becomes one space, so that columns stay correct."""
     return safe(text.replace("\t", " "))
 
 

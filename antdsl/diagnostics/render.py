@@ -1,4 +1,4 @@
-"""Report → text, in the format that a person or a program asked for."""
+"""Conversion of a report to text, in the format that a person or a program requested."""
 
 from __future__ import annotations
 
@@ -41,16 +41,16 @@ FORMATS: dict[str, Callable[[Sequence[Diagnostic], int], str]] = {
 
 
 def render(report: Report, format: str = "full") -> str:
-    """The report in one of `FORMATS`, by place, at most 50 complaints and the number of the rest. KeyError for another format.
+    """Return the report in one of `FORMATS`, by place: at most 50 findings and the number of the rest. Raises KeyError for
+    another format.
 
-    Errors are kept before warnings where not all can be shown.
-    """
+    Errors take precedence over warnings where not all can be shown."""
     kept = shown(report)
     return FORMATS[format](kept, len(report.diagnostics) - len(kept))
 
 
 def shown(report: Report) -> list[Diagnostic]:
-    """The complaints that people are shown, by place: at most 50, errors kept before warnings where there are more."""
+    """Return the findings that people see, by place: at most 50, where errors take precedence over warnings."""
     ordered = report.sorted()
     if len(ordered) <= limits.DIAGNOSTICS_SHOWN:
         return ordered

@@ -35,7 +35,7 @@ def sarif(diagnostics: Sequence[Diagnostic], more: int) -> str:
 
 
 def _rule(code: str) -> dict[str, Any]:
-    """What a code scanning service shows about a code: its meaning, and its page where the pages are installed."""
+    """Return what a code scanning service shows about a code: its meaning, and its page if the pages are installed."""
     rule: dict[str, Any] = {"id": code, "shortDescription": {"text": CODES.get(code, code)}}
     page = code_page(code)
     if page is not None:
@@ -73,7 +73,8 @@ def _location(span: Span) -> dict[str, Any]:
 
 
 def _fingerprint(diagnostic: Diagnostic, span: Span, seen: Counter[str]) -> str:
-    """Stays the same when lines above are added: made of the code and the line's text, and counted where they come again."""
+    """Return a fingerprint that stays equal when lines above are added: from the code and the line's text, with a counter for
+    repetitions."""
     line = span.source.line_text(area(span).line).strip()
     digest = hashlib.sha256(f"{diagnostic.code}\0{span.source.path}\0{line}".encode("utf-8", "surrogatepass")).hexdigest()[:16]
     seen[digest] += 1

@@ -1,4 +1,4 @@
-"""Which known name somebody may have meant: the words behind `did you mean …`."""
+"""The known name that is most like an unknown one: the words behind `did you mean …`."""
 
 from __future__ import annotations
 
@@ -7,10 +7,9 @@ from difflib import get_close_matches
 
 
 def nearest_name(word: str, candidates: Iterable[str]) -> str | None:
-    """The candidate most like `word`, or None when none is near enough to be a slip of the pen.
+    """Return the candidate most similar to `word`, or None if none is similar enough to be a typing error.
 
-    Ties go to the name that sorts first, so that the answer does not depend on the order of the candidates.
-    """
+    Ties go to the first name in sort order, so that the result does not depend on the order of the candidates."""
     names = sorted(set(candidates) - {word})
     lowered = word.lower()
     for name in names:

@@ -1,4 +1,4 @@
-"""Reports as JSON, for another process to take up: each text once, and every place as the number of its text with two offsets."""
+"""Reports as JSON, for another process: each text once, and every place as the number of its text with two offsets."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from antdsl.source import Source, Span
 
 
 def encode_reports(reports: Mapping[Path, Report], sources: Iterable[Source]) -> bytes:
-    """The reports of files and further texts, in their order."""
+    """Return the reports of files, and further texts, in order."""
     numbers: dict[Source, int] = {}
     texts = [_number(source, numbers) for source in sources]
     entries = [
@@ -24,7 +24,7 @@ def encode_reports(reports: Mapping[Path, Report], sources: Iterable[Source]) ->
 
 
 def decode_reports(data: bytes) -> tuple[dict[Path, Report], list[Source]]:
-    """What was encoded. Raises ValueError where the data is incomplete."""
+    """Return the reports and texts that were encoded. Raises ValueError if the data is incomplete."""
     try:
         document = json.loads(data)
         table = [Source(*entry) for entry in document["table"]]

@@ -1,11 +1,12 @@
-"""Tasks on other processes. In: an iterable of tasks, each a function of ours and its JSON, under a key made of all that the
-answer depends on. Out: each answer as it comes, in any order.
+"""Tasks in other processes. Input: an iterable of tasks, each a function of ours and its JSON, under a key made of all that the
+answer depends on. Output: the answers as they arrive, in any order.
 
-An `Executors` says where they run: `processes.py` starts processes of this machine (the standard library's pool), `cluster.py`
-speaks to Dask, and `cluster_worker.py` is what is done there; neither is imported before a cluster is asked for. A `parcel` is
-how files travel.
-`run_tasks` hands out a few at a time and takes the iterable only as far as it has to, so that whoever makes the tasks may look
-at the answers before it makes more. Who calls keeps the answers: a task may run twice where a process is lost, and is answered
+An `Executors` defines where tasks run. `processes.py` starts processes of this machine (the standard library's pool).
+`cluster.py` uses Dask, and `cluster_worker.py` runs on its workers; neither is imported before a cluster is requested. `parcel`
+packs files for transport.
+
+`run_tasks` submits a few tasks at a time and reads the iterable only as far as needed. So the code that creates tasks can read
+answers before it creates more. The caller stores the answers: a task may run twice where a process is lost, but is answered
 once."""
 
 from antdsl.executors.processes import Processes

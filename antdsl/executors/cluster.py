@@ -1,6 +1,6 @@
-"""Tasks on a Dask cluster: one of this machine that ends with the command, or one that is there.
+"""Tasks on a Dask cluster: a local one that ends with the command, or an existing one.
 
-Dask runs a task again where its worker is lost, at least once in all. Its messages are its own; what we put into them are our
+Dask runs a task again if its worker is lost, so each task runs at least once. Message formats are Dask's. Our payloads are our
 functions by name, JSON, and the bytes of the project's files."""
 
 from __future__ import annotations
@@ -28,22 +28,22 @@ from antdsl.outputs.provenance import sources
 _ROLES = ("scheduler", "worker", "nanny")
 _CONNECT = 15  # seconds to wait for a scheduler
 _FIRST = 5.0  # seconds for the files to be there, until tasks are given
-_IN_VAIN = 3  # times that all is given anew, where nothing is answered in between
+_IN_VAIN = 3  # times that all tasks are resubmitted without an answer in between
 _ALL_LOST = "each worker that it was given to was lost"
 _TOLD = 2000  # characters of one sentence of a worker
 
 
 def security_of(folder: Path) -> Security:
-    """Mutual TLS by the files of a folder: whoever else has no certificate of the same authority is not spoken to."""
+    """Return mutual TLS by the files of a folder: peers without a certificate of the same authority are rejected."""
     ca, cert, key = (str(folder / name) for name in TLS_FILES)
     return Security(require_encryption=True, tls_ca_file=ca, tls_client_cert=cert, tls_client_key=key)
 
 
 @contextmanager
 def local_cluster(workers: int, threads: int) -> Iterator[tuple[str, Security]]:
-    """A scheduler and so many worker processes on the loopback interface, with certificates of their own that are nowhere but in
-    memory; their address. There is no dashboard, and a worker has no bound of memory. Dask starts an HTTP server without pages in
-    the scheduler and in each worker all the same, and listens on every interface unless an address is named."""
+    """Start a scheduler and worker processes on the loopback interface, with new certificates held only in memory; yield the
+    address. There is no dashboard, and workers have no memory limit. Dask still starts an HTTP server without pages in the
+    scheduler and in each worker. It listens on every interface unless an address is set."""
     isolate()
     nothing: dict[str, list[str]] = {f"distributed.{role}.http.routes": [] for role in _ROLES}
     nothing |= {f"distributed.{role}.preload": [] for role in (*_ROLES, "client")}  # modules that a configuration file names
@@ -65,8 +65,8 @@ def local_cluster(workers: int, threads: int) -> Iterator[tuple[str, Security]]:
 
 @contextmanager
 def connected(address: str, security: Security | None, files: Iterable[Path], seen: Seen | None = None) -> Iterator[Cluster]:
-    """A cluster whose workers have got files, or all see one (`seen`) and so, it is held, the others. Lost where no scheduler
-    answers, Refused where all its workers are refused or the files are too large."""
+    """Connect to a cluster. Its workers have received the files, or all see one file (`seen`) and are assumed to see the others.
+    Raises Lost where no scheduler answers, Refused where all its workers are rejected or the files are too large."""
     for name in [name for name in logging.root.manager.loggerDict if name.startswith("distributed")]:
         logging.getLogger(name).setLevel(logging.CRITICAL)  # what there is to tell we tell
     with ExitStack() as stack:
@@ -81,7 +81,7 @@ def connected(address: str, security: Security | None, files: Iterable[Path], se
 
 
 class Cluster:
-    """Where tasks run on the workers of a Dask cluster."""
+    """Runs tasks on the workers of a Dask cluster."""
 
     def __init__(self, client: Any, parcel: Parcel, seen: Seen | None) -> None:
         self._client = client
@@ -89,7 +89,7 @@ class Cluster:
         self.name: str = self._project.name
         self._heard: SimpleQueue[dict[str, Any]] = SimpleQueue()
         self._told: list[str] = []
-        self._once: set[str] = set()  # sentences that were told
+        self._once: set[str] = set()  # messages that were reported
         self._frames: dict[str, int] = {}
         self._keys: dict[int, str] = {}
         self._fit: set[str] = set()  # workers that have said so
@@ -97,11 +97,11 @@ class Cluster:
         self._looked = -1e9
         self._given: dict[Future[str], tuple[Task, Future[str]]] = {}
         self._attempt = 0
-        self._in_vain = 0  # times that all was given anew since something was answered
+        self._in_vain = 0  # times that all tasks were resubmitted since the last answer
         self._lock = threading.RLock()
 
     def begin(self) -> None:
-        """Send the files to the workers that are there, and have them sent to those that come."""
+        """Send the files to the existing workers, and to those that join later."""
         client = self._client
         client.subscribe_topic(self.name, lambda event: self._heard.put(event[1]))
         there = client.run(identity, on_error="return")
@@ -115,7 +115,7 @@ class Cluster:
             raise Refused("\n".join(unfit.values()))
         for words in unfit.values():
             self._told.append(words)
-        with suppress(ImportError, AttributeError):  # of a worker that has been told of
+        with suppress(ImportError, AttributeError):  # by a worker that has been reported
             client.register_plugin(self._project)
         until = time.monotonic() + _FIRST
         while there and not self._fit and time.monotonic() < until:
@@ -127,7 +127,7 @@ class Cluster:
 
     @property
     def at_once(self) -> int:
-        """Two for each worker, so that none waits for the next."""
+        """Return two tasks for each worker, so that no worker waits for its next task."""
         return 2 * max(len(self._there), 1)
 
     def start(self) -> Executor:
@@ -153,7 +153,7 @@ class Cluster:
     def _ended(self, outer: Future[str], inner: Future[str]) -> None:
         with self._lock:
             if self._given.get(outer, (None, None))[1] is not inner:
-                return  # it was given anew
+                return  # it was resubmitted
             del self._given[outer]
             self._in_vain = 0
         if inner.cancelled():
@@ -173,7 +173,7 @@ class Cluster:
         self._look()
         told = [sentence for sentence in dict.fromkeys(self._told) if sentence not in self._once]
         self._told = []
-        self._once.update(told)  # a worker that is refused says so too
+        self._once.update(told)  # a rejected worker reports this too
         return told
 
     def _listen(self) -> None:
@@ -189,8 +189,8 @@ class Cluster:
                     self._told.append("".join(s if s.isprintable() else " " for s in str(said["refused"])[:_TOLD]))
 
     def _look(self) -> None:
-        """See who is there now and then. Dask looks for a place for what nobody could do when a worker comes, which is before it
-        has got the files; so where nobody was there who could, all is given anew once somebody is."""
+        """Check from time to time which workers are available. If none was available and one is now, all tasks are resubmitted.
+        Dask assigns waiting tasks when a worker joins, which is before it has the files."""
         if time.monotonic() - self._looked < LOOK:
             return
         self._looked = time.monotonic()
@@ -219,7 +219,7 @@ class Cluster:
             executor.shutdown(wait=False)
 
     def fetch(self, worker: str, file: str, size: int) -> Iterator[bytes]:
-        """The parts of a file that a task has made on a worker. Lost where it is gone or ends before its size."""
+        """Yield the parts of a file that a task wrote on a worker. Raises Lost if it is missing or ends before its size."""
         start = 0
         while start < size:
             try:

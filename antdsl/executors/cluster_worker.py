@@ -1,7 +1,9 @@
-"""What is done on a worker of a Dask cluster: it takes in the files of a project, says whether it can run tasks, and runs them.
+"""The part that runs on a worker of a Dask cluster: it receives a project's files, reports whether it can run tasks, and runs
+them.
 
-A worker offers a resource named after the files and antdsl's own sources once it has both; a task asks for one of it. So whoever
-has other sources, or no room for the files, is never given a task, also one that comes later, and a worker runs one at a time."""
+A worker that has the files and the same antdsl sources offers a resource named after both; a task needs one unit of it. So a
+worker with other sources, or without space for the files, never gets a task, also if it joins later. A worker runs one task at a
+time."""
 
 from __future__ import annotations
 
@@ -29,7 +31,7 @@ PART_BYTES = 8 * MIB  # of a file that is fetched, at a time
 
 
 class Project(WorkerPlugin):  # type: ignore[misc]
-    """The files of a project, as every worker of a cluster gets them. Nothing of it is a user's but the bytes of the files."""
+    """The files of a project, as every worker of a cluster receives them. The bytes of the files are the only user data in it."""
 
     def __init__(self, parcel: Parcel, sources: str, seen: Seen | None) -> None:
         self.name = f"antdsl-{seen.digest if seen is not None else parcel.digest}-{sources}"
@@ -37,7 +39,7 @@ class Project(WorkerPlugin):  # type: ignore[misc]
         self.worker: Worker | None = None
 
     async def setup(self, worker: Any) -> None:
-        """As a worker begins, or the project comes to one that is there."""
+        """Install the files when a worker starts, or when the project reaches a running worker."""
         if self.sources != sources():
             worker.log_event(self.name, {"refused": other_sources(worker.address, identity(), self.sources)})
             return
@@ -66,7 +68,7 @@ _one_at_a_time = threading.Lock()
 
 
 def _take_in(parcel: Parcel, folder: Path) -> None:
-    """Put the files where tasks look for them, unless a command before this one did."""
+    """Put the files where tasks look for them, unless an earlier command did."""
     with _one_at_a_time:
         whole = folder / "whole"  # is there once all the others are
         if whole.is_file():
@@ -83,7 +85,7 @@ def identity() -> dict[str, str]:
 
 
 def sees(seen: Seen) -> bool:
-    """Whether a worker sees a file of whoever asks."""
+    """Return whether a worker sees a file of the requester."""
     return seen.there()
 
 
@@ -96,7 +98,7 @@ def other_sources(address: str, has: Mapping[str, str], wanted: str) -> str:
 
 
 def perform_there(work: Work, text: str, name: str, key: str, attempt: int) -> str:
-    """Do a task on this worker. `name`: of the project; `attempt`: how often the task was given before."""
+    """Run a task on this worker. `name`: the project's name; `attempt`: the number of earlier attempts."""
     dask_worker = get_worker()
     project = dask_worker.plugins.get(name)
     if project is None or project.worker is None:
@@ -117,7 +119,7 @@ def perform_there(work: Work, text: str, name: str, key: str, attempt: int) -> s
 
 
 def read_part(name: str, file: str, start: int) -> bytes:
-    """Some bytes of a file that a task has made on this worker, from an offset on."""
+    """Return bytes of a file that a task wrote on this worker, from an offset on."""
     folder = Path(get_worker().local_directory) / name / "made"
     path = (folder / file).resolve()
     if not path.is_relative_to(folder.resolve()):
@@ -128,7 +130,7 @@ def read_part(name: str, file: str, start: int) -> bytes:
 
 
 def forget(name: str, folder: str) -> None:
-    """Remove what a task has made, once it is fetched."""
+    """Remove the files of a task after they were fetched."""
     made = Path(get_worker().local_directory) / name / "made"
     path = (made / folder).resolve()
     if path.is_relative_to(made.resolve()) and path != made.resolve():

@@ -1,5 +1,5 @@
-"""A parcel: files under the paths that they have where they come from, in one run of bytes known by its hash. How the files of a
-project travel to other machines, once."""
+"""Input bundles: files under their original paths, as one byte string with a hash. The files of a project travel to other
+machines this way, once."""
 
 from __future__ import annotations
 
@@ -17,13 +17,14 @@ from antdsl.limits import PARCEL_BYTES
 
 @dataclass(frozen=True, slots=True)
 class Parcel:
-    """`data`: the length of a table of contents in 8 bytes, the table in JSON (paths and sizes, in order), the files."""
+    """`data`: the length of a table of contents in 8 bytes, the table as JSON (paths and sizes, in order), the files."""
 
     data: bytes
     digest: str
 
     def unpack(self, folder: Path) -> None:
-        """Write the files below a folder, each at `inside(folder, its path)`. Refused where they are not those of the hash."""
+        """Write the files below a folder, each at `inside(folder, its path)`. Raises Refused if the data does not match the
+        hash."""
         if _digest(self.data) != self.digest:
             raise Refused("the files of the project did not arrive as they were sent")
         start = 8 + int.from_bytes(self.data[:8], "little")
@@ -39,7 +40,7 @@ class Parcel:
 
 @dataclass(frozen=True, slots=True)
 class Seen:
-    """A file by which those who see the same folders are told: its path, and a hash of what is in it."""
+    """A file that identifies machines with the same folders: its path, and a hash of its content."""
 
     path: str
     digest: str
@@ -59,7 +60,8 @@ class Seen:
 
 
 def pack(paths: Iterable[Path]) -> Parcel:
-    """A parcel of regular files. Refused where they are more than PARCEL_BYTES together; OSError where one cannot be read."""
+    """Return an input bundle of regular files. Raises Refused if they are more than `PARCEL_BYTES` together, OSError if one
+    cannot be read."""
     files: dict[str, bytes] = {}
     left = PARCEL_BYTES
     for path in sorted({Path(os.path.abspath(path)) for path in paths}):
@@ -78,12 +80,12 @@ def _packed(files: Mapping[str, bytes]) -> Parcel:
 
 
 def inside(folder: Path, path: str) -> Path:
-    """Where a file of a parcel lies below the folder that it was unpacked into."""
+    """Return the path of a bundled file below the folder that the bundle was unpacked into."""
     return folder / _inner(Path(path))
 
 
 def _inner(path: PurePath) -> str:
-    """A whole path as one below a folder: `/shots/a.yaml` as `shots/a.yaml`, `C:\\shots` as `C/shots`."""
+    """Return an absolute path as one relative to a folder: `/shots/a.yaml` as `shots/a.yaml`, `C:\\\\shots` as `C/shots`."""
     drive = path.drive.replace(":", "").replace("\\", "_")
     return "/".join([*([drive] if drive else []), *path.parts[1:]])
 

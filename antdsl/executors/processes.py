@@ -1,4 +1,4 @@
-"""Processes of this machine: each starts afresh, imports everything once and takes one task after the other."""
+"""Processes of this machine: each starts from scratch, imports everything once and runs one task after the other."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from multiprocessing.process import BaseProcess
 from antdsl.child_processes import isolate
 from antdsl.executors.tasks import LOOK, Task, Work, Worker, perform
 
-_PATIENCE = 5.0  # seconds for a process to end by itself
+_PATIENCE = 5.0  # seconds to wait for the end of a process
 _NONE = -(2**62)  # where no frame is known
 
 
@@ -93,13 +93,14 @@ def _begin(threads: int, frames: MutableSequence[int]) -> None:
     _worker, _frames = Worker(threads), frames
     if not sys.warnoptions:
         warnings.simplefilter("ignore")  # of libraries, as in the process that the terminal has
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # who asked for the tasks is told by Ctrl-C, and ends us
+    # Ctrl-C reaches the process that requested the tasks, and that one ends this one
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
     threading.Thread(target=_end_with_parent, daemon=True).start()
 
 
 def _end_with_parent() -> None:
-    """A pool whose owner was killed would wait for tasks for ever: nobody else can end its processes."""
+    """End this process when its parent ends. Otherwise the processes of a killed pool owner would wait for tasks for ever."""
     parent = multiprocessing.parent_process()
     if parent is not None:
         parent.join()

@@ -1,4 +1,4 @@
-"""Hands tasks to a `concurrent.futures.Executor` and gives their answers as they come; takes over where one is broken."""
+"""Submits tasks to a `concurrent.futures.Executor` and yields their results as they arrive; replaces a broken executor."""
 
 from __future__ import annotations
 
@@ -21,19 +21,19 @@ Answer = dict[str, Any]
 
 
 class Refused(Exception):
-    """A task that cannot be done, in words for whoever asked for it; it is not tried again."""
+    """A task that cannot be done; the message is for its requester. It is not tried again."""
 
 
 class Lost(Exception):
-    """Nobody is there any more who would run tasks, in words for whoever asked for them."""
+    """Nothing is left that can run tasks; the message is for their requester."""
 
 
 @dataclass(slots=True)
 class Worker:
-    """What a task finds where it runs: how many threads it may use, whom it tells of frames, and what lasts from one task of the
-    process to the next, by name. `notes`: what was otherwise than asked, told with the answer. `here`: where a file of whoever
-    asks lies on this machine; `scratch`: a folder for what is fetched, None where everybody sees the same folders; `name`: of the
-    process, empty on the machine of who asks."""
+    """The environment of a task. `threads`: how many it may use. `told`: called with frames. `kept`: objects by name that last
+    from one task of the process to the next. `notes`: messages about deviations from the request, sent with the answer. `here`:
+    maps a path of the requester to this machine. `scratch`: a folder for fetched files, None where all machines see the same
+    folders. `name`: of the process, empty on the requester's machine."""
 
     threads: int
     told: Callable[[int], None] = lambda frame: None
@@ -49,8 +49,8 @@ Work = Callable[[dict[str, Any], Worker], Answer]
 
 @dataclass(frozen=True, slots=True)
 class Task:
-    """`work`: a function at the top of a module of ours; `document`: what it is given, in JSON's values; `key`: tells it from
-    other tasks."""
+    """`work`: a function at module level of antdsl; `document`: its argument, as JSON values; `key`: a unique name of the
+    task."""
 
     key: str
     work: Work
@@ -59,7 +59,7 @@ class Task:
 
 @dataclass(frozen=True, slots=True)
 class Answered:
-    """What became of a task: an answer, or the words for what went wrong."""
+    """The result of a task: an answer, or the error message."""
 
     task: Task
     answer: Answer | None
@@ -75,16 +75,16 @@ class Executors(Protocol):
         """How many tasks to have under way."""
 
     def start(self) -> Executor:
-        """An executor, in place of the one before, which is broken."""
+        """Return a new executor, in place of a broken one."""
 
     def submit(self, executor: Executor, task: Task, place: int) -> Future[str]:
-        """Begin a task. `place`: a number below `at_once` that no other task has meanwhile."""
+        """Submit a task. `place`: a number below `at_once` that no other running task has."""
 
     def frame(self, place: int) -> int | None:
-        """How far the task at a place is, where that is known."""
+        """Return the current frame of the task at a place, if known."""
 
     def notes(self) -> Iterable[str]:
-        """What there is to tell about those who run tasks, since it was asked last."""
+        """Return the messages about workers since the last call."""
 
     def why_broken(self) -> str:
         """What ended the executor, once it is broken."""
@@ -99,11 +99,11 @@ def run_tasks(
     told: Callable[[Task, int], None] = lambda task, frame: None,
     noted: Callable[[str], None] = lambda sentence: None,
 ) -> Iterator[Answered]:
-    """Run tasks and give what became of each as it is known. `told` hears now and then how far one is, `noted` what there is to
-    tell about who runs them. `tasks` is read one at a time, whenever there is room for another.
+    """Run tasks and yield the outcome of each as it is known. `told` is called from time to time with the frame that a task has
+    reached, `noted` with messages about workers. `tasks` is read one at a time, whenever another one can start.
 
-    Where a process is lost nobody knows whose fault that was: all tasks that were under way are run again, one by one, and one
-    that breaks the executor by itself is given up. Lost where an executor cannot be had again."""
+    Where a process is lost, the cause is unknown: all running tasks are run again, one by one. A task that breaks the executor
+    when it runs alone is given up. Raises Lost where no executor can be started again."""
     waiting, suspects = iter(tasks), deque[Task]()
     running: dict[Future[str], tuple[Task, int]] = {}
     executor, alone = executors.start(), False

@@ -1,4 +1,4 @@
-"""Why did this agent do that: its step is done again from a checkpoint, with an eye on it. Data first, telling apart."""
+"""Explains an agent's step: the step is repeated from a checkpoint and traced. Data comes first; formatting is separate."""
 
 from antdsl.explain.account import Account, accounts, placed_accounts
 from antdsl.explain.history import CacheHistory, ExplainError, History, open_shot

@@ -1,4 +1,4 @@
-"""The account of an agent's step: what `explain` gives, put together from the trace and the world before and after."""
+"""Builds the report on an agent's step, the result of `explain`, from the trace and the world before and after."""
 
 from __future__ import annotations
 
@@ -25,8 +25,8 @@ PLACES = 256  # of each set
 
 @dataclass(frozen=True, slots=True)
 class Account:
-    """An explanation with places, in mm and less the world's origin: of the agent as the step began, and of those others and
-    items that it looked at, the nearest of each set first."""
+    """An explanation with positions, in mm relative to the world's origin: of the agent at the start of the step, and of the
+    agents and items it considered. The nearest of each set comes first."""
 
     explanation: Explanation
     place: Triple
@@ -34,8 +34,8 @@ class Account:
 
 
 def accounts(replay: Replay, frame: int, agents: Sequence[tuple[str, int]]) -> list[Explanation | None]:
-    """What each agent (species, id) did in the step to a frame, without its strip; None for who did not live when it began, or
-    was set aside after a fault. ExplainError when the step cannot be done again."""
+    """Return what each agent (species, id) did in the step to a frame, without its state timeline. None for an agent that did not
+    live when the step began, or was in quarantine. Raises ExplainError if the step cannot be repeated."""
     return [None if each is None else each.explanation for each in placed_accounts(replay, frame, agents)]
 
 
@@ -58,7 +58,7 @@ def placed_accounts(replay: Replay, frame: int, agents: Sequence[tuple[str, int]
 
 
 def _places(trace: Trace) -> tuple[Triple, tuple[Triple, ...]]:
-    """Where the agent stood, and where those did that it looked at, each once."""
+    """Return the position of the agent at the start of the step, and those of the agents that it looked at, each once."""
     own = triple(trace.before[f"position.{axis}"] for axis in AXES)
     near = [member for members in trace.sets.values() for member in sorted(members, key=lambda m: float(m[4]))[:PLACES]]
     found = (triple(own[k] + float(member[1 + k]) for k in range(3)) for member in near)
@@ -66,14 +66,14 @@ def _places(trace: Trace) -> tuple[Triple, tuple[Triple, ...]]:
 
 
 def _collides(handler: Handler, trace: Trace) -> bool:
-    """Whether a handler of collisions has run: its agent has begun to touch somebody."""
+    """Return whether a handler of collisions has run: its agent has begun to touch another."""
     if handler.event != "collision":
         return False
     return any(node.op == "contact" and node.attrs[0] == handler.of and value[0] != -1 for node, value in trace.senses.items())
 
 
 def _account(replay: Replay, frame: int, world: World, population: Population, trace: Trace) -> Explanation:
-    """All that is known before the step has its effects."""
+    """Return all that is known before the effects of the step."""
     program = replay.shot.program.species[population.name]
     notes = replay.notes[population.name]
     machines = tuple(machine_step(world, population, machine, notes, trace) for machine in population.plan.machines)
@@ -113,8 +113,8 @@ def _account(replay: Replay, frame: int, world: World, population: Population, t
 
 
 def _sites(species: Species, machines: Sequence[MachineStep]) -> tuple[str, ...]:
-    """Where lines of text run for this agent in this step: the bodies of the states that it is in, or what stands in for a
-    `steer` line where none of them has one; and the layers' `face` lines."""
+    """Return the code sites that run for this agent in this step. These are the bodies of its current states, or the default
+    where none of them has a `steer` line; and the layers' `face` lines."""
     found = [f"{species.name}.{m.machine}.{m.after}#" for m in machines]
     found += [f"{species.name}.{m.machine}.{m.after}.enter#" for m in machines if m.changed]
     found.append(f"{species.name}.layers.face#")
@@ -128,7 +128,7 @@ def _sites(species: Species, machines: Sequence[MachineStep]) -> tuple[str, ...]
 
 
 def _ended(replay: Replay, world: World, trace: Trace, told: Explanation) -> Explanation:
-    """With what came of it; of one who died in the step there is nothing more."""
+    """Return the explanation with the results of the step; an agent that died in the step has no more."""
     population = world.populations[told.species]
     row = int(population.rows_of(np.array([told.agent]))[0])
     if row < 0:

@@ -1,4 +1,4 @@
-"""What a step did to an agent: its attributes and memories before and after, and what it asked of the rest of the world."""
+"""Effects of a step on an agent: its attributes and memories before and after, and its requests to the rest of the world."""
 
 from __future__ import annotations
 
@@ -23,7 +23,8 @@ _VECTORS = {"position": "mm", "velocity": "mm/s", "heading": "", "up": ""}
 
 
 def changes(world: World, population: Population, species: Species, trace: Trace, agent: int) -> tuple[Changed, ...]:
-    """Registers that are kept and changed, in the order of the program; `world` is that after the step. Empty for the dead."""
+    """Return the stored registers that have changed, in the order of the program. `world` is that after the step. Empty for a
+    dead agent."""
     row = int(population.rows_of(np.array([agent]))[0])
     return () if row < 0 else tuple(_changes(world, population, species, trace, row))
 
@@ -57,7 +58,7 @@ def _changes(world: World, population: Population, species: Species, trace: Trac
 
 
 def _kept(registers: Mapping[str, Any], slots: list[tuple[str, str]]) -> dict[int, Any]:
-    """The values per pair of an agent by the other's id."""
+    """Return an agent's values per pair, by the other agent's id."""
     return {int(registers[who]): registers[held] for who, held in slots if registers[who] >= 0}
 
 
@@ -81,7 +82,7 @@ def _vector(world: World, name: str, both: list[list[Any]], type: Type | None, m
 
 
 def _type(name: str, register: Register, species: Species) -> Type:
-    """The type of a register that no attribute declares: a machine's, or a memory."""
+    """Return the type of a register that no attribute declares: a machine's register, or a memory."""
     machine, _, part = name.partition(".")
     if part in ("state", "previous") and any(m.name == machine for m in species.machines):
         return Type(Kind.STATE, of=f"{species.name}.{machine}")
@@ -91,7 +92,7 @@ def _type(name: str, register: Register, species: Species) -> Type:
 
 
 def did(effects: Effects) -> tuple[str, ...]:
-    """What it asked of the world, in words: deposits, gifts, digging, calls, births and its death."""
+    """Return the agent's requests to the world, in words: deposits, gifts, digging, calls, births and its death."""
     told = {row.op: [line for entry in effects.asked.get(row.op, ()) if (line := _told(row, entry))] for row in EFFECTS.values()}
     found = told.pop("deposit")
     found += [f"give {entry.statement.own} {float(entry.amount[0]):.4g} to {entry.statement.items}" for entry in effects.gives]
@@ -101,7 +102,7 @@ def did(effects: Effects) -> tuple[str, ...]:
 
 
 def _told(row: Effect, entry: Asked) -> str:
-    """One request in the words of its row; nothing, where it comes to nothing."""
+    """Return one request in the words of its row; empty if it has no effect."""
     if row.quiet_at_0 and not float(entry.arg(0)[0]):
         return ""
     args = dict(zip(row.operands, entry.args, strict=True))

@@ -1,4 +1,4 @@
-"""What a machine did in a step: every transition looked at in its order, what won, what was claimed, what was drawn for."""
+"""The decisions of a machine in a step: every transition in its order, the one taken, the claims, and the random draws."""
 
 from __future__ import annotations
 
@@ -16,7 +16,8 @@ from antdsl.runtime.world import Population, World
 
 
 def machine_step(world: World, population: Population, machine: MachinePlan, notes: Notes, trace: Trace) -> MachineStep:
-    """One machine of an agent, `world` in the step to be explained: still as it was when the step began."""
+    """Return the step of one machine of an agent. `world` is in the step to be explained, still in its state at the start of the
+    step."""
     before = int(trace.before[f"{machine.name}.state"])
     after = int(trace.now[f"{machine.name}.state"])
     mine = [n for n in notes.changes if n.machine == machine.name and n.state.index == before]
@@ -83,7 +84,7 @@ def _claim(world: World, population: Population, won: ChangeNote, trace: Trace) 
 
 
 def _turn(world: World, population: Population, entry: ClaimEntry, row: int) -> float:
-    """The draw that says when its claim is served, from 0 to 1."""
+    """Return the random draw, from 0 to 1, that sets the order in which its claim is served."""
     ids = population.ids[row : row + 1]
     words = randomness.words(world.setting.seed, world.frame, population.name, entry.statement.site, 0, ids)
     return float(words[0][0]) / float(np.uint64(1) << np.uint64(32))

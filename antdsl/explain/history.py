@@ -24,7 +24,7 @@ _SPEC_SET = "set "
 
 
 class History(Protocol):
-    """A run of one shot, kept so that it can be gone through again."""
+    """A run of one shot, stored so that it can be replayed."""
 
     @property
     def shot(self) -> Shot: ...
@@ -33,24 +33,24 @@ class History(Protocol):
         """The frames that have a checkpoint, in order."""
 
     def world(self, point: int) -> World | None:
-        """A world of its own as it was at a checkpoint; None where that is damaged."""
+        """Return a separate world in the state of a checkpoint; None if that is damaged."""
 
     def hash(self, frame: int) -> str | None:
-        """The hash of the state at a frame, where it is known."""
+        """Return the hash of the state at a frame, if it is known."""
 
     def before_step(self, world: World) -> None:
-        """Do to a world what was done to the run from outside before the step that comes."""
+        """Apply the external changes that the run received before the next step."""
 
     def missing(self, frame: int) -> ExplainError:
-        """What to say where no good checkpoint leads up to a frame."""
+        """Return the error for a frame without a good checkpoint before it."""
 
     def differs(self, frame: int) -> ExplainError:
-        """What to say where a frame comes out otherwise than it was."""
+        """Return the error for a frame that differs when it is repeated."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CacheHistory:
-    """The run that a cache was written by; `shot` is what it was made from."""
+    """The run that wrote a cache; `shot` is the shot it was made from."""
 
     cache: Cache
     shot: Shot
@@ -77,7 +77,7 @@ class CacheHistory:
         return self.hashes.get(frame)
 
     def before_step(self, world: World) -> None:
-        """Nobody changes the run of a cache on its way."""
+        """Do nothing: the run of a cache has no changes from outside."""
 
     def missing(self, frame: int) -> ExplainError:
         what = "no good checkpoint" if any(point <= frame for point in self.points()) else "no checkpoint"
@@ -92,8 +92,8 @@ class CacheHistory:
 
 
 class ExplainError(Exception):
-    """Why nothing can be explained, in words that stand alone. `usage`: what was asked for is wrong; `report`: the complaints
-    about the scene's files, where they are the reason."""
+    """Why nothing can be explained, in a message that stands alone. `usage`: the request is wrong. `report`: the findings about
+    the scene's files, where they are the reason."""
 
     def __init__(self, message: str, help: str = "", *, usage: bool = False, report: Report | None = None) -> None:
         super().__init__(message)
@@ -101,7 +101,8 @@ class ExplainError(Exception):
 
 
 def open_shot(cache: Cache, scene: Path | None = None, grants: Mapping[str, Path] | None = None) -> Shot:
-    """The shot of a cache. ExplainError when its scene is not found, does not check, or is not what the cache was made from."""
+    """Return the shot of a cache. Raises ExplainError if its scene is not found, has errors, or is not the one the cache was made
+    from."""
     manifest = cache.manifest
     path = scene or _scene_of(cache)
     spec = [name for name in manifest.inputs if name.startswith(_SPEC_SET)]
@@ -134,8 +135,8 @@ def open_shot(cache: Cache, scene: Path | None = None, grants: Mapping[str, Path
 
 
 def _scene_of(cache: Cache) -> Path:
-    """The scene's file: where it was, seen from the cache; else beside the folder `out` where runs put caches, in a folder above,
-    or where one is."""
+    """Return the scene's file: at its old location relative to the cache, else in one of the folders above the cache, else in the
+    working directory."""
     name = Path(cache.manifest.scene).name
     folder = cache.folder.resolve()
     then = Path(os.path.normpath(folder / cache.manifest.scene_path)) if cache.manifest.scene_path else None

@@ -1,4 +1,4 @@
-"""What is known about one agent in one step, as frozen values that JSON can say. Numbers are in the author's units."""
+"""One agent's step as frozen values that JSON can represent. Numbers are in the author's units."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ Value = float | bool | str | None | Triple
 
 @dataclass(frozen=True, slots=True)
 class Place:
-    """A stretch of a program: its text on one line, its file and line."""
+    """A span of a program: its text on one line, its file and line."""
 
     text: str
     file: str
@@ -22,8 +22,8 @@ class Place:
 
 @dataclass(frozen=True, slots=True)
 class Part:
-    """A part of a condition: `value` in `unit`, `shown` as one would write it. `role`: draw or bar of a `chance`; joined, where
-    it is no more than its parts with `and`, `<` and the like between; else empty."""
+    """A part of a condition: `value` in `unit`, `shown` as one would write it. `role`: draw or bar of a `chance`; joined, if it
+    is only its parts with `and`, `<` and the like between them; else empty."""
 
     text: str
     value: Value
@@ -35,7 +35,8 @@ class Part:
 
 @dataclass(frozen=True, slots=True)
 class Timer:
-    """`what`: held (in steps), after or at least (in seconds in the state): how long it has been, how long is needed."""
+    """A timer: `what` is held (in steps), after or at least (in seconds in the state). Has the elapsed and the required
+    amount."""
 
     what: str
     has: float
@@ -46,7 +47,8 @@ class Timer:
 
 @dataclass(frozen=True, slots=True)
 class Looked:
-    """A transition that was looked at. `kind`: interrupt, from any, when. `held`: its condition; `fires`: that and its timers."""
+    """A transition that was checked. `kind`: interrupt, from any, when. `held`: whether its condition was true; `fires`: whether
+    its condition and timers were."""
 
     place: Place
     kind: str
@@ -61,8 +63,8 @@ class Looked:
 
 @dataclass(frozen=True, slots=True)
 class Claim:
-    """What an agent asked of an item or a field, and whether it got it; of all who asked, those with the lesser draw came first.
-    `amount` None is all; of a field `items` and `item` are its name, and `attribute` may be empty."""
+    """A claim of an agent to an item or a field, and whether it succeeded. Claims with smaller draws come first. `amount` None is
+    all. For a field, `items` and `item` are its name, and `attribute` may be empty."""
 
     items: str
     item: str
@@ -75,7 +77,7 @@ class Claim:
 
 @dataclass(frozen=True, slots=True)
 class Choice:
-    """A draw among states: `draw` from 0 to 1, the share of each state up to which it is taken, and the one that was."""
+    """A draw among states: `draw` from 0 to 1, the cumulative share of each state, and the state taken."""
 
     draw: float
     bars: tuple[tuple[str, float], ...]
@@ -84,8 +86,8 @@ class Choice:
 
 @dataclass(frozen=True, slots=True)
 class MachineStep:
-    """`before` and `after`: its states, `since` seconds in the first; `looked`: transitions in their order; `changed` says
-    whether one was taken."""
+    """`before` and `after`: its states, with `since` seconds spent in the first. `looked`: the checked transitions in order;
+    `changed`: whether one was taken."""
 
     machine: str
     before: str
@@ -99,8 +101,8 @@ class MachineStep:
 
 @dataclass(frozen=True, slots=True)
 class Layer:
-    """A layer's wish. `left`: strength before it; `length` of its `push`; `given`: what it got of that, `share` of the whole
-    budget, `cut` of its length. `state`: pushed, nothing (its push was none), off (its condition does not hold), no strength."""
+    """A layer's wish. `left`: strength left before it; `length` of its `push`; `given`: the part it received, `share` of the
+    whole budget, `cut` of its length. `state`: pushed, nothing (its push was zero), off (its condition is false), no strength."""
 
     place: Place
     state: str
@@ -115,7 +117,7 @@ class Layer:
 
 @dataclass(frozen=True, slots=True)
 class Steer:
-    """A `steer` or `face` line that ran, and its push. `part`: `state`, or `layers` where it stands there."""
+    """A `steer` or `face` line that ran, and its push. `part`: `state`, or `layers` if it is in a layer."""
 
     text: str
     push: Triple
@@ -125,7 +127,7 @@ class Steer:
 
 @dataclass(frozen=True, slots=True)
 class Near:
-    """Another agent or an item that was looked at: id or name, distance in mm, its state or its amounts."""
+    """Another agent or an item that was considered: id or name, distance in mm, its state or its amounts."""
 
     name: str
     distance: float
@@ -134,7 +136,7 @@ class Near:
 
 @dataclass(frozen=True, slots=True)
 class Seen:
-    """What a set held: `asked` is its text, `count` how many; the nearest of them in `nearest`."""
+    """The content of a set: `asked` is its text, `count` its size, `nearest` the nearest members."""
 
     asked: str
     of: str
@@ -144,7 +146,7 @@ class Seen:
 
 @dataclass(frozen=True, slots=True)
 class Sense:
-    """A sense that was asked: ray, obstacle, curve, flow, map or field; `shown` says what it felt."""
+    """A sense that was queried: ray, obstacle, curve, flow, map or field; `shown` describes its result."""
 
     kind: str
     name: str
@@ -155,7 +157,7 @@ class Sense:
 
 @dataclass(frozen=True, slots=True)
 class Draw:
-    """A random number that was drawn: its site (stable name), the text that asked, the value."""
+    """A random draw: its site (stable name), the text that requested it, and the value."""
 
     site: str
     text: str
@@ -186,9 +188,9 @@ class Stretch:
 
 @dataclass(frozen=True, slots=True)
 class Explanation:
-    """All about one agent in the step that led to `frame`. `push` is without unit and at most 1 long; velocities are mm/s,
-    `acceleration` mm/s². `hash`: of the whole state at `frame`, the same as the cache has for it. `strip`: machine after machine,
-    each in order of time; a cache keeps the states of the first machine alone."""
+    """The report on one agent in the step to `frame`. `push` has no unit and a length of at most 1; velocities are mm/s,
+    `acceleration` mm/s². `hash`: of the complete state at `frame`, equal to the cache's. `strip`: each machine's states in order
+    of time; a cache stores only the states of the first machine."""
 
     scene: str
     species: str
@@ -217,7 +219,7 @@ class Explanation:
 
 
 def as_json(explanation: Explanation) -> dict[str, Any]:
-    """The explanation as JSON can say it: what is endless or no number is null."""
+    """Return the explanation as JSON values: infinity and NaN become null."""
     found: dict[str, Any] = _sayable({"format": FORMAT, **asdict(explanation)})
     return found
 

@@ -1,4 +1,4 @@
-"""What the layers gave: each wish, what strength was left for it, what was cut. The sums are those of the step, in float32."""
+"""The result of each layer: its wish, the strength left for it, and what was cut. The sums are those of the step, in float32."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ Push = NDArray[np.float32]
 
 
 def layers(world: World, mode: str, notes: Notes, trace: Trace) -> tuple[Layer, ...]:
-    """The layers in the order in which they were asked."""
+    """Return the layers in the order in which they were queried."""
     with np.errstate(all="ignore"):
         return tuple(_layer(world, mode, note, trace) for note in notes.layers)
 
@@ -38,7 +38,8 @@ def _layer(world: World, mode: str, note: LayerNote, trace: Trace) -> Layer:
 
 
 def _given(mode: str, push: Push, size: np.float32, left: np.float32) -> Push:
-    """A layer's part of the push: whole in a sum; cut to what is left, or to 1 where the first takes all."""
+    """Return a layer's part of the push: all of it in a sum; cut to the remaining budget, or to length 1 where the first layer
+    takes all."""
     if mode == "sum":
         return push
     most = left if mode == "budget" else _F(1)
@@ -53,12 +54,12 @@ def length(push: Push) -> np.float32:
 
 
 def pushed(trace: Trace) -> Push:
-    """What all layers together gave: the register that moves the agent."""
+    """Return the sum of all layers: the register that moves the agent."""
     return np.array([trace.now[f"push.{axis}"] for axis in AXES], _F)
 
 
 def steers(species: str, notes: Notes, trace: Trace, places: tuple[str, ...]) -> tuple[Steer, ...]:
-    """The `steer` and `face` lines at these places (beginnings of sites) that ran."""
+    """Return the `steer` and `face` lines that ran at sites with one of these prefixes."""
     found = []
     for note in notes.steers:
         if note.site.startswith(places) and all(node in trace.values for node in note.push):

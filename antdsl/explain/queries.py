@@ -1,4 +1,4 @@
-"""`explain`: from a cache, an agent and a frame to the account of what it did and why; what cannot be explained is said."""
+"""`explain`: reports what an agent of a cache did in a frame, and why; says so if it cannot."""
 
 from __future__ import annotations
 
@@ -28,10 +28,10 @@ def explain(
     grants: Mapping[str, Path] | None = None,
     threads: int = 1,
 ) -> Explanation:
-    """What an agent did in the step that led to a frame, and why. The step is done again from the nearest checkpoint, and must
-    have the hash that the cache has for it. Nothing is written. Raises ExplainError, and CacheError for a damaged frame.
+    """Return what an agent did in the step to a frame, and why. The step is repeated from the nearest checkpoint, and must have
+    the cache's hash. Nothing is written. Raises ExplainError, and CacheError for a damaged frame.
 
-    `species` may be left out where the scene has one; `scene` where its file lies near the cache."""
+    `species` is optional if the scene has only one; `scene` if its file is near the cache."""
     name = _species(cache, species)
     _frame(cache, frame)
     stretches, alive = strip(cache, name, agent)
@@ -57,7 +57,7 @@ def _species(cache: Cache, wanted: str | None) -> str:
 
 
 def _frame(cache: Cache, frame: int) -> None:
-    """A frame has a step that led to it when it is in the cache, and is not the first."""
+    """Check that a step leads to a frame: it must be in the cache, and not be the first."""
     frames = cache.frames()
     if not frames:
         raise ExplainError(f"`{cache.folder}` has no frames", "run the scene first")
@@ -74,7 +74,7 @@ def _frame(cache: Cache, frame: int) -> None:
 def _alive(
     cache: Cache, species: str, agent: int, frame: int, stretches: tuple[Stretch, ...], alive: tuple[int, int] | None
 ) -> None:
-    """Whether the agent lived in the frame before; as far as the frames say, which need not keep ids."""
+    """Check that the agent lived in the frame before, as far as the frames show; they need not store ids."""
     if "id" not in cache.manifest.attributes:
         return
     if alive is None:
@@ -90,7 +90,7 @@ def _alive(
 
 
 def _whom(cache: Cache, species: str, agent: int, frame: int) -> str:
-    """Who there is at a frame, and whose id is most like it."""
+    """Return a hint: which agents of the species a frame has, and which id is most like the given one."""
     arrays = cache.frame(frame, frozenset(("id", "species")))
     ids = arrays["id"]
     if "species" in arrays:
@@ -103,7 +103,7 @@ def _whom(cache: Cache, species: str, agent: int, frame: int) -> str:
 
 
 def absent(replay: Replay, species: str, agent: int, frame: int) -> ExplainError:
-    """Why nobody was traced: the agent did not live, was set aside, or is led by the scene."""
+    """Return the error for an agent that was not traced: it did not live, was quarantined, or is guided by the scene."""
     world = replay.begin(frame)
     population = world.populations[species]
     row = int(population.rows_of(np.array([agent]))[0])

@@ -1,4 +1,4 @@
-"""Old steps again: a world from the nearest checkpoint, stepped to a frame, with some agents traced in the last step."""
+"""Repeats old steps: a world from the nearest checkpoint, stepped to a frame, with some agents traced in the last step."""
 
 from __future__ import annotations
 
@@ -29,9 +29,9 @@ Look = Callable[[World, Population, Trace], T]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Step(Generic[T]):
-    """A step that was done again. `seen`: what was made of each agent's trace, None for who did not live when it began or was
-    set aside after a fault. `after` and `hash`: the world as it ended; it goes on with the next step. `checkpoint`: the frame
-    that it was continued from."""
+    """A repeated step. `seen`: the result from each agent's trace; None for an agent that did not live when the step began, or
+    was in quarantine. `after` and `hash`: the world at its end, which the next step changes. `checkpoint`: the frame it was
+    continued from."""
 
     seen: tuple[T | None, ...]
     after: World
@@ -40,9 +40,9 @@ class Step(Generic[T]):
 
 
 class Replay:
-    """A run, to be done again from where one asks. Frames asked for in order are stepped through once.
+    """A run that is replayed from the requested frame. Frames requested in order are simulated once.
 
-    Raises ExplainError where a checkpoint is missing or a state differs from the one that the run is known to have had."""
+    Raises ExplainError where a checkpoint is missing or a state differs from the known state of the run."""
 
     def __init__(self, history: History) -> None:
         self.history, self.shot = history, history.shot
@@ -53,7 +53,8 @@ class Replay:
         self.plan = self._noted()
 
     def _noted(self) -> Plan:
-        """The plan with notes, after the one pass that moves last bits: its blocks give the same bits as the plan that runs."""
+        """Return the plan with notes, after the one pass that changes rounding: its blocks give the same bits as the plan that
+        runs."""
         scene, program = self.shot.scene, self.shot.program
         orders = {name: order for name in scene.model.layers if (order := layer_order(scene, program, name)[0]) is not None}
         noted = plan.lower(program, orders=orders, notes=self.notes, begun_with=self.shot.setting.begun_with)[0]
@@ -61,7 +62,7 @@ class Replay:
         return hoist(noted, self.became)
 
     def begin(self, frame: int) -> World:
-        """The world as the step to a frame begins: at the frame before."""
+        """Return the world at the start of the step to a frame: at the frame before."""
         world = self._world
         if world is None or not self._checkpoint <= world.frame <= frame - 1 or self._nearer(world.frame, frame):
             world = self._restored(frame - 1)
@@ -74,8 +75,8 @@ class Replay:
         return world
 
     def step(self, frame: int, agents: Sequence[tuple[str, int]], look: Look[T]) -> Step[T]:
-        """The step to a frame, with agents by species and id. `look` sees each one's trace while others, items and fields are
-        still as they were when the step began."""
+        """Repeat the step to a frame, tracing agents given by species and id. `look` receives each agent's trace while others,
+        items and fields are in their state at the start of the step."""
         world = self.begin(frame)
         self.history.before_step(world)
         self._world = None  # until the step is whole
@@ -100,7 +101,7 @@ class Replay:
         return any(here < point < frame for point in self.history.points())
 
     def _restored(self, frame: int) -> World:
-        """A world at the last good checkpoint that is not after a frame."""
+        """Return a world at the last good checkpoint that is not after a frame."""
         for point in reversed([point for point in self.history.points() if point <= frame]):
             world = self.history.world(point)
             if world is not None:
@@ -109,7 +110,7 @@ class Replay:
         raise self.history.missing(frame)
 
     def _same(self, world: World) -> str:
-        """The hash of the state, which is the one that is known."""
+        """Return the hash of the state. Raises the history's error if it differs from the known hash."""
         found = state_hash(world)
         if self.history.hash(world.frame) not in (None, found):
             self._world = None

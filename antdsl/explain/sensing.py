@@ -1,4 +1,4 @@
-"""What an agent looked at in a step: others and items near it, fields at its place, rays, curves, flows, draws."""
+"""What an agent sensed in a step: others and items near it, fields at its position, rays, curves, flows, draws."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ from antdsl.program.tables.senses import SENSES
 from antdsl.runtime.backends.reference import Member
 from antdsl.runtime.world import Population, World
 
-MOST = 10  # others told of a set
+MOST = 10  # reported others of a set
 NOBODY = -1  # the id of no agent
 _LONG = 72  # letters of a text
 
 
 def seen(world: World, trace: Trace) -> tuple[Seen, ...]:
-    """The sets that were looked through, each once, in the order in which they were asked."""
+    """Return the sets that were searched, each once, in the order of the queries."""
     found: dict[tuple[str, tuple[int, ...]], Seen] = {}
     for node, members in trace.sets.items():
         nearest = sorted(members, key=lambda m: (float(m[4]), m[0]))
@@ -46,13 +46,13 @@ def _near(world: World, node: Node, member: Member) -> Near:
 
 
 def fields(world: World, population: Population, row: int) -> tuple[tuple[str, float], ...]:
-    """Every field where the agent stood as the step began."""
+    """Return the value of every field at the agent's position at the start of the step."""
     rows = np.array([row])
     return tuple((name, float(field.sample(population.cells[name][rows])[0])) for name, field in world.fields.items())
 
 
 def senses(trace: Trace) -> tuple[Sense, ...]:
-    """The senses of the place that were asked."""
+    """Return the senses of the agent's position that were queried."""
     return tuple(
         sense for node, value in sorted(trace.senses.items(), key=lambda pair: pair[0].number) for sense in _sense(node, value)
     )
@@ -69,7 +69,7 @@ def _sense(node: Node, value: Any) -> Iterator[Sense]:
 
 
 def _words(row: rows.Sense, values: tuple[bool | float, ...]) -> str:
-    """What a sense found, as its row says it; of one number or several without words of their own, the numbers."""
+    """Return what a sense found, in the words of its row; without such words, the numbers."""
     if row.nothing and not values[0]:
         return row.nothing
     if row.trace:
@@ -89,6 +89,6 @@ def draws(trace: Trace) -> tuple[Draw, ...]:
 
 
 def _text(node: Node) -> str:
-    """The author's text, or a library's, that asked; long text is cut."""
+    """Return the text of the author, or of a library, that made the query; long text is cut."""
     text = "" if node.span is None else " ".join(node.span.text.split())
     return text if len(text) <= _LONG else text[: _LONG - 1].rstrip() + "…"

@@ -1,4 +1,4 @@
-"""An agent's states over time, from frames that keep them."""
+"""An agent's states over time, from frames that store them."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ _NAMES = frozenset(("id", "state", "species"))
 
 
 def strip(cache: Cache, species: str, agent: int) -> tuple[tuple[Stretch, ...], tuple[int, int] | None]:
-    """Its states of the first machine, one stretch after the other, and the first and last frame in which it lives; None where
-    no frame has it.
+    """Return its states of the first machine as consecutive stretches, and the first and last frame in which it lives; None if no
+    frame has it.
 
-    Where the cache keeps no states each stretch has an empty state. CacheError when a frame is damaged."""
+    If the cache stores no states, each stretch has an empty state. Raises CacheError if a frame is damaged."""
     names = [entry.name for entry in cache.manifest.species]
     number = names.index(species)
     machine = next(iter(cache.manifest.species[number].machines), None)
@@ -26,7 +26,7 @@ def strip(cache: Cache, species: str, agent: int) -> tuple[tuple[Stretch, ...], 
 
 
 def stretches(machine: str, seen: Iterable[tuple[int, str]]) -> tuple[Stretch, ...]:
-    """Frames in order, with the state in each, put together where they are next to each other and the state is the same."""
+    """Return frames in order with their states, merged where consecutive frames have the same state."""
     found: list[Stretch] = []
     for frame, state in seen:
         if found and found[-1].state == state and found[-1].last == frame - 1:
@@ -41,7 +41,7 @@ def _named(states: Sequence[str], state: int) -> str:
 
 
 def _state(cache: Cache, frame: int, species: int, agent: int) -> int | None:
-    """The index of the agent's state in a frame, -1 where states are not kept; None where it does not live."""
+    """Return the index of the agent's state in a frame: -1 where states are not stored, None where it does not live."""
     arrays = cache.frame(frame, _NAMES)
     if "id" not in arrays:
         return None

@@ -1,4 +1,4 @@
-"""An explanation as text for people: one block after the other, what decided first."""
+"""An explanation as text for people: one block after the other, decisions first."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from pathlib import PurePath
 from antdsl.explain.model import Explanation, Layer, Looked, MachineStep, Part, Place, Seen, Stretch, Triple
 
 _BAR = 20  # characters for the whole budget
-_STRETCHES = 12  # of a long life, those about the frame asked for
+_STRETCHES = 12  # of a long life, those around the requested frame
 _DRAWS = 40
 
 
@@ -43,7 +43,7 @@ def _lines(e: Explanation) -> Iterator[str]:
 
 
 def _where(place: Place) -> str:
-    """File and line; of the file its name, which is enough to find it by."""
+    """Return file and line; of the file only its name, which is enough to find it."""
     return f"{PurePath(place.file).name}:{place.line}"
 
 
@@ -104,7 +104,7 @@ def _looked(looked: Looked, hidden: bool) -> Iterator[str]:
 
 
 def _parts(part: Part, indent: str) -> Iterator[str]:
-    """A part and those within it; of one that only asks whether the other is there, the other."""
+    """Yield a part and its inner parts; a part that only tests the existence of an equal part is replaced by that."""
     if len(part.parts) == 1 and part.parts[0].text == part.text:
         part = part.parts[0]
     if part.role in ("draw", "bar"):
@@ -143,7 +143,7 @@ def _pushes(e: Explanation) -> Iterator[str]:
 
 
 def _bar(layer: Layer) -> str:
-    """What it got of the whole strength, after what was spent before it."""
+    """Return a bar of a layer's share of the whole strength, after the share spent before it."""
     had = round(min(layer.share, 1.0) * _BAR)
     if layer.share > 0:
         had = max(had, 1)

@@ -1,6 +1,6 @@
-"""One agent's step, run by the reference backend with an eye on it: what it found for every note, its draws, sets and senses.
+"""Traces one agent's step with the reference backend: the value of every note, its draws, assignments and senses.
 
-It runs beside the step itself, on copies of its registers: nothing in the world changes."""
+It runs in addition to the step, on copies of its registers: nothing in the world changes."""
 
 from __future__ import annotations
 
@@ -23,8 +23,8 @@ _DRAWN = frozenset(("draw", "draw.agent"))
 
 @dataclass(slots=True, eq=False)
 class Trace:
-    """What happened. `values`: of noted nodes; `before` and `now`: registers as the step began, and as the blocks left them.
-    `claims` are those asked, in text order."""
+    """The events of a step. `values`: of noted nodes. `before` and `now`: registers at the start of the step, and after the
+    blocks. `claims`: those of the agent, in text order."""
 
     row: int
     before: dict[str, Any]
@@ -38,7 +38,7 @@ class Trace:
 
 
 class TracedAgent(Agent):
-    """An agent that keeps the values of notes at the time they count."""
+    """An agent that records the values of notes at the time they count."""
 
     def __init__(
         self,
@@ -55,7 +55,7 @@ class TracedAgent(Agent):
         self.trace = Trace(row, {name: array[0] for name, array in now.items()}, {})
 
     def run_all(self) -> Trace:
-        """The blocks of a step in their order; claims are won as the world has settled them."""
+        """Run the blocks of a step in order; claims have the results that the world has settled."""
         for block in BLOCKS:
             self.run(block, self.plan)
             if block == "decide":
@@ -68,7 +68,7 @@ class TracedAgent(Agent):
         return self.trace
 
     def _decided(self) -> None:
-        """Changes of a machine of which none can ever fire: nothing is stored for them, and they were not seen."""
+        """Compute the notes of changes that can never fire: no register is stored for them, so they were not recorded."""
         for note in self.notes.changes:
             if note.state.index == int(self.trace.before[f"{note.machine}.state"]):
                 for node in of_change(note):
@@ -90,7 +90,7 @@ class TracedAgent(Agent):
         return self.trace.sets[node]
 
     def _collect(self, block: str) -> None:
-        """What has been computed on the way, and no more than that: a layer that got no strength felt nothing."""
+        """Record only what has been computed: a layer that got no strength sensed nothing."""
         for node, value in self.values.items():
             if node.op in SENSES:
                 self.trace.senses[node] = value
@@ -113,9 +113,9 @@ class TracedAgent(Agent):
 def traced(
     world: World, population: Population, plan: ir.SpeciesPlan, row: int, notes: Notes, became: Mapping[ir.Node, ir.Node]
 ) -> Trace:
-    """What the agent of a row does in the step under way, whose blocks have run and whose effects have not.
+    """Return what the agent of a row does in the current step, after its blocks have run and before its effects have.
 
-    `plan` and `notes` come from lowering the same program again, with notes; `became` says what stands for a noted node."""
+    `plan` and `notes` come from lowering the same program again, with notes. `became` maps noted nodes to their replacements."""
     now = {}
     for name, register in plan.registers.items():
         if register.role == "temp":
@@ -146,7 +146,7 @@ def of_layer(note: LayerNote) -> list[ir.Node]:
 
 
 def of_acts(notes: Notes) -> list[ir.Node]:
-    """All nodes of what is noted of acting: `steer` and `face` lines, and choices of a state."""
+    """Return all nodes noted in acting: `steer` and `face` lines, and choices of a state."""
     chosen = [node for note in notes.choices.values() for node in (note.draw, *(n for _, n in note.weights))]
     steered = [node for note in notes.steers for node in (*note.push, *([] if note.holds is None else [note.holds]))]
     return [*steered, *chosen]

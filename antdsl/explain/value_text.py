@@ -1,4 +1,4 @@
-"""Values of nodes as an author would write them: parts of conditions, timers, vectors."""
+"""Formats values of nodes as an author would write them: parts of conditions, timers, vectors."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def part(world: World, note: PartNote | None, values: Values) -> Part | None:
 
 
 def said(world: World, raw: Any, type: Type, unit: str) -> str:
-    """A value as one would write it; what has the kind of a truth by now is said as one, whatever its declared kind."""
+    """Return a value in the author's spelling. A boolean value is written as one, whatever its declared type."""
     if isinstance(raw, np.bool_ | bool):
         type = Type(Kind.BOOL)
     elif type.kind is Kind.BOOL:
@@ -58,7 +58,7 @@ def said(world: World, raw: Any, type: Type, unit: str) -> str:
 
 
 def value(world: World, raw: Any, type: Type, unit: str) -> Value:
-    """A value for programs: a number in its unit, a truth, or a name."""
+    """Return a value for programs: a number in its unit, a boolean, or a name."""
     if isinstance(raw, np.bool_ | bool):
         return bool(raw)
     if type.kind in (Kind.STATE, Kind.ITEM, Kind.AGENT):
@@ -73,6 +73,6 @@ def in_unit(world: World, raw: Any, unit: str) -> float:
 
 
 def timer(note: TimerNote, values: Values) -> Timer:
-    """A noted timer with what it had and what it needed."""
+    """Return a noted timer with its elapsed and required amount."""
     unit = "steps" if note.what == "held" else "s"
     return Timer(note.what, float(values[note.has]), float(values[note.needs]), unit, bool(values[note.holds]))

@@ -1,8 +1,7 @@
-"""A shot as a job of a render farm: a scene in, steps with their dependencies out, to be run by whatever farm there is.
+"""A shot as a job for any render farm: a scene in, steps with dependencies out.
 
-`shot_job` says which commands make a shot and which wait for which; `open_job` writes that as a template of Open Job
-Description, `json_lines` as lines that any script can read. Every command of a job may be ended and begun again: it goes on with
-what is there."""
+`shot_job` defines the commands of a shot and their dependencies. `open_job` writes them as a template of Open Job Description,
+`json_lines` as lines for any script. Every command may be stopped and restarted: it continues from existing results."""
 
 from antdsl.farm.json_lines import json_lines
 from antdsl.farm.open_job import template

@@ -1,4 +1,4 @@
-"""A job as JSON lines, one a command, for farms and scripts that know no other form."""
+"""A job as JSON lines, one per command, for farms and scripts that support no other format."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ from antdsl.farm.shot_job import Job, Step, words
 
 
 def json_lines(job: Job) -> str:
-    """A line for each command, in an order in which they can be run: `name`, `step`, `command` as words, and `needs`, the names
-    of the commands that have to be done before it. Paths are whole ones of this machine."""
+    """Return a line for each command, in a valid execution order: `name`, `step`, `command` as words, and `needs`, the names of
+    the commands that must finish first. Paths are absolute paths of this machine."""
     paths = {place.name: str(place.path.resolve()) for place in job.places}
     names = {step.name: [_name(step, frames) for frames in step.chunks or ("",)] for step in job.steps}
     lines = []

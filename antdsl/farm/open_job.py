@@ -12,8 +12,8 @@ MOST_TASKS = 1024  # values that a list of a parameter may have
 
 
 def template(job: Job, folder: Path) -> dict[str, Any]:
-    """The template, in JSON's values. `folder`: where its file will lie; places below it are named as seen from there, others
-    have to be named by whoever submits the job, as the specification lets no template lead out of its folder."""
+    """Return the template, as JSON values. `folder`: where its file will lie. Places below it are relative to it. The submitter
+    of the job must name others, as the specification lets no template lead out of its folder."""
     return {
         "specificationVersion": "jobtemplate-2023-09",
         "name": job.name,
@@ -23,7 +23,7 @@ def template(job: Job, folder: Path) -> dict[str, Any]:
 
 
 def unnamed(job: Job, folder: Path) -> list[Place]:
-    """The places that whoever submits the job has to name."""
+    """Return the places that the submitter of the job must name."""
     return [place for place in job.places if _below(place, folder) is None]
 
 
@@ -55,7 +55,7 @@ def _step(step: Step) -> dict[str, Any]:
 
 
 class _Named(dict[str, str]):
-    """Places by the expressions that stand for their paths, which a farm maps."""
+    """Maps each place to the expression for its path, which a farm substitutes."""
 
     def __missing__(self, name: str) -> str:
         return f"{{{{Param.{name}}}}}"

@@ -12,7 +12,7 @@ CHUNK = "Frames"  # what stands for a task's frames
 
 @dataclass(frozen=True, slots=True)
 class Place:
-    """A path that may be another on another machine. `flow`: whether it is read, written, or both."""
+    """A path that may differ on another machine. `flow`: whether it is read, written, or both."""
 
     name: str
     path: Path
@@ -34,7 +34,8 @@ Word = str | Arg
 
 @dataclass(frozen=True, slots=True)
 class Step:
-    """One command, or one for each chunk of frames, where `CHUNKED` stands for these. `needs`: steps that come before it."""
+    """One command, or one for each chunk of frames, where `CHUNKED` stands for the chunk. `needs`: steps that must finish
+    first."""
 
     name: str
     about: str
@@ -46,7 +47,7 @@ class Step:
 
 @dataclass(frozen=True, slots=True)
 class Job:
-    """All steps of a shot, in an order in which they can be run."""
+    """All steps of a shot, in a valid execution order."""
 
     name: str
     places: tuple[Place, ...]
@@ -55,8 +56,8 @@ class Job:
 
 @dataclass(frozen=True, slots=True)
 class Shot:
-    """What is to be made: frames `first` to `last` of a scene, `every` so many of them drawn, `chunk` pictures a task. `run` and
-    `render`: further words of these commands."""
+    """The requested output: frames `first` to `last` of a scene, one drawn in `every` frames, `chunk` pictures per task. `run`
+    and `render`: extra arguments of these commands."""
 
     scene: Path
     cache: Path
@@ -122,7 +123,7 @@ def chunks(first: int, last: int, every: int, count: int) -> tuple[str, ...]:
 
 
 def words(command: Sequence[Word], frames: str, paths: Mapping[str, str]) -> list[str]:
-    """A command as text, with `frames` in the place of a task's frames and `paths` by the names of places."""
+    """Return a command as text, with a task's `frames` and the `paths` of places inserted."""
     return [
         f"{word.before}{paths[word.place.name]}{word.after}" if isinstance(word, Arg) else frames if word == CHUNKED else word
         for word in command

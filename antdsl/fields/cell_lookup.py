@@ -7,7 +7,7 @@ import numpy as np
 from antdsl.machine_code.kernels import BOOL, F64, I8, I32, I64, Array1, fetch_ahead, independent, inlined, kernel, scratch
 from antdsl.numerics.sorting import place_among
 
-_TOGETHER = 64  # points whose cells are brought near at once
+_TOGETHER = 64  # points with cells prefetched together
 
 
 @inlined
@@ -29,8 +29,9 @@ def _found(direct: Array1[I32], listed: BOOL, keys: Array1[I64], shift: I64, sta
 
 
 class CellIndex(NamedTuple):
-    """Cells of voxels: their width, the lowest voxel of the box and how many there are. Cells are in `direct` by key, or where
-    that is empty, by halving among the `keys` of their block: these begin at `start` [blocks + 1], of 2**shift keys each."""
+    """The cells of a box of voxels: voxel width, lowest voxel of the box and voxel counts. Cells are in `direct` by key. If that
+    is empty, they are found by binary search in the `keys` of their block. Blocks begin at `start` [blocks + 1], with 2**shift
+    keys each."""
 
     cell: F64
     low: Array1[I64]
@@ -52,11 +53,10 @@ def located(
     begin: I64,
     end: I64,
 ) -> I64:
-    """Write the cell of the voxel and side of each point from `begin` to before `end` into `found` [n]; gives how many have
-    none, which get -1.
+    """Write the cell of the voxel and side of points `begin` to `end` (exclusive) into `found` [n]; return how many have none,
+    which get -1.
 
-    `points`: x, y, z [n] mm. `known` and `here` [n]: keys of the points before, -1 outside the box, and their cells; they are
-    renewed."""
+    `points`: x, y, z [n] mm. `known` and `here` [n]: previous keys, -1 outside the box, and previous cells; both are updated."""
     cell, box, size, direct, keys, shift, start = index
     listed = direct.size > 0
     wanted, moved, others = scratch(_TOGETHER, I64), scratch(_TOGETHER, I64), scratch(_TOGETHER, I64)

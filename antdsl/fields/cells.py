@@ -1,4 +1,4 @@
-"""Cells that scent lies in: the voxels that surfaces touch, one for each way that the surface faces there."""
+"""The cells of pheromone: the voxels that surfaces touch, one cell for each direction that the surface faces there."""
 
 from __future__ import annotations
 
@@ -31,7 +31,8 @@ _CHUNK = 1 << 15
 
 
 class FieldTooFine(ValueError):
-    """A field would need more cells than `limits.FIELD_CELLS`, or more `in_a_row` than can be numbered; nothing was allocated."""
+    """A field would need more cells than `limits.FIELD_CELLS`, or (`in_a_row`) more along an axis than can be numbered. Nothing
+    was allocated."""
 
     def __init__(self, needed: int, cap: int, in_a_row: bool = False) -> None:
         super().__init__(f"about {needed:,} cells are needed and {cap:,} are allowed; a larger `cell` needs fewer")
@@ -40,7 +41,7 @@ class FieldTooFine(ValueError):
 
 @dataclass(frozen=True, slots=True)
 class Links:
-    """Pairs of touching cells of a compatible side as rows of a table: cell a's are `cell[start[a]:start[a+1]]`, ascending."""
+    """Pairs of touching cells with compatible sides, as rows of a table: cell a's are `cell[start[a]:start[a+1]]`, ascending."""
 
     start: NDArray[np.int64]
     cell: Cells
@@ -49,10 +50,9 @@ class Links:
 class SurfaceCells:
     """Cells of size `cell` (mm) over surfaces, each (vertices float64[n,3], faces int32[m,3]).
 
-    A cell is a voxel, its middle on a lattice through the origin, and a side: the axis direction that the surface's normal is
-    nearest to. So a thin plate has two sides, and cells number by place, then side, whatever the order of the faces. Raises
-    FieldTooFine before anything large is made.
-    """
+    A cell is a voxel, with its centre on a lattice through the origin, and a side: the axis direction nearest to the surface's
+    normal. So a thin plate has two sides. Cells are numbered by position, then side, independent of the order of the faces.
+    Raises FieldTooFine before any large allocation."""
 
     def __init__(self, surfaces: Sequence[Mesh], cell: float, cap: int = limits.FIELD_CELLS) -> None:
         if not (np.isfinite(cell) and cell > 0):
@@ -89,7 +89,7 @@ class SurfaceCells:
         self._tables: dict[int, Cells] = {}
 
     def _gather(self, corners: Floats, scaled: Floats, normal: Floats, cap: int) -> stored_tables.Tables:
-        """Keys, positions and normals of all cells, from the part of each triangle in each voxel that it touches."""
+        """Return keys, positions and normals of all cells, from the part of each triangle in each voxel that it touches."""
         side = facing(normal)
         keys, sums = np.empty(0, np.int64), np.empty((0, 7))
         waiting: list[tuple[NDArray[np.int64], Floats]] = []
@@ -112,7 +112,7 @@ class SurfaceCells:
 
     @property
     def side(self) -> NDArray[np.int64]:
-        """Which way each cell faces, as `facing` counts."""
+        """Return the direction that each cell faces, numbered as by `facing`."""
         return self._keys % 6
 
     def _key(self, voxel: NDArray[np.int64], side: NDArray[np.int8]) -> NDArray[np.int64]:
@@ -120,7 +120,7 @@ class SurfaceCells:
         return key
 
     def _starts(self) -> NDArray[np.int32] | None:
-        """First cell of every voxel of the box, where the box is small enough to list."""
+        """The first cell of every voxel of the box, if the box is small enough for a table."""
         count = int(self._size[0]) * int(self._size[1]) * int(self._size[2])
         if count > _DENSE:
             return None
@@ -134,7 +134,7 @@ class SurfaceCells:
         return int(np.unique(self._voxels, return_counts=True)[1].max(initial=0))
 
     def _in_voxel(self, voxel: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        """First cell and number of cells in voxels [n,3] counted from the box's corner; none outside the box."""
+        """Return the first cell and the number of cells in voxels [n,3], relative to the box's corner; none outside the box."""
         within = ((voxel >= 0) & (voxel < self._size)).all(axis=1)
         flat = np.where(within, (voxel[:, 0] * self._size[1] + voxel[:, 1]) * self._size[2] + voxel[:, 2], 0)
         if self._start_table is not None:
@@ -144,27 +144,27 @@ class SurfaceCells:
         return first, np.where(within, last - first, 0)
 
     def _cells_in(self, voxel: NDArray[np.int64]) -> Iterator[tuple[NDArray[np.int64], NDArray[np.bool_]]]:
-        """The cells of voxels [n,3], one of each at a time, and whether there is one."""
+        """Yield the cells of voxels [n,3], one per voxel at a time, and whether there is one."""
         first, count = self._in_voxel(voxel)
         for step in range(self._most):
             yield np.minimum(first + step, len(self) - 1), step < count
 
     def lookup(self, points: Floats, normals: Floats) -> Cells:
-        """The cell of each point [n,3] on a face with a normal [n,3] (the face's own, not the agent's side).
+        """Return the cell of each point [n,3] on a face with a normal [n,3] (the face's own, not the agent's side).
 
-        Where there is none, the nearest of the 27 voxels around whose side is not the opposite one; else -1.
-        """
+        If there is none, return the nearest of the 27 voxels around it that does not have the opposite side; else -1."""
         return self.lookup_sides(points, facing(np.asarray(normals).reshape(-1, 3)))
 
     def lookup_sides(self, points: Floats, side: NDArray[np.int8]) -> Cells:
-        """As `lookup`, for faces that face as `facing` says, int8[n]."""
+        """As `lookup`, for faces with sides int8[n] as from `facing`."""
         return self.follow(points, side, None)[0]
 
     def follow(
         self, points: Floats, side: NDArray[np.int8], before: Known | None, out: Cells | None = None, threads: int = 1
     ) -> tuple[Cells, Known | None]:
-        """As `lookup_sides`, given what was found for as many points before: only those in another voxel or on another side are
-        looked up. `out`: int32[n] to write into. Gives what to remember too; None where keys are in no order."""
+        """As `lookup_sides`, with the results for the same number of points before: only points in another voxel or on another
+        side are looked up. `out`: int32[n] for the result. Also returns the state for the next call; None if keys are
+        unordered."""
         points = np.asarray(points, np.float64).reshape(-1, 3)
         cell = np.empty(len(points), np.int32) if out is None or len(out) != len(points) else out
         if not len(self):
@@ -186,7 +186,8 @@ class SurfaceCells:
     def _located(
         self, points: Floats, side: NDArray[np.int8], before: Known | None, cell: Cells, threads: int
     ) -> tuple[int, Known]:
-        """Write the cell of each point's own voxel and side, -1 for none; gives how many have none, and what to remember."""
+        """Write the cell of each point's voxel and side, -1 for none; return how many have none, and the state for the next
+        call."""
         known = before
         if known is None or known.of is not self or len(known.key) != len(points):
             known = Known(self, np.full(len(points), -1), np.full(len(points), -1, np.int32))
@@ -197,7 +198,7 @@ class SurfaceCells:
         return sum(parallel.in_parts(work, len(points), threads, parallel.LIGHT)), known
 
     def _searched(self, points: Floats, side: NDArray[np.int8], cell: Cells) -> int:
-        """The same where cells have keys in no order; gives how many points have none."""
+        """Do the same for unordered keys; return how many points have none."""
         key = np.empty(len(points), np.int64)
         within = np.empty(len(points), np.bool_)
         for a in range(0, len(points), _CHUNK):
@@ -208,7 +209,7 @@ class SurfaceCells:
 
     @property
     def _numbered(self) -> bool:
-        """Whether keys ascend with the numbers of cells, or each is listed: so that a kernel finds them."""
+        """Return whether keys ascend with cell numbers, or each key is listed, so that a kernel can find them."""
         return True
 
     def _keys_at(self, points: Floats, side: NDArray[np.int8], key: NDArray[np.int64], within: NDArray[np.bool_]) -> None:
@@ -246,7 +247,7 @@ class SurfaceCells:
 
     @cached_property
     def _direct(self) -> Cells | None:
-        """The cell of every voxel and side, -1 for none, where the box is small enough to list."""
+        """The cell of every voxel and side, -1 for none, if the box is small enough for a table."""
         count = 6 * int(self._size[0]) * int(self._size[1]) * int(self._size[2])
         if count > _DENSE:
             return None
@@ -267,10 +268,10 @@ class SurfaceCells:
         return best
 
     def _around(self, cells: NDArray[np.int64], column: Callable[[int, int], int]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        """Pairs of one of some cells, counted from 0, and a compatible cell in the voxels around it: by both, ascending.
+        """Return pairs of one of some cells, numbered from 0, and a compatible cell in the voxels around it; sorted by both.
 
-        In the column of voxels at (x, y) from its own, those at most `column(x, y)` above and below are around; -1: none. Cells
-        of a column are next to each other."""
+        In the column of voxels at offset (x, y), voxels up to `column(x, y)` above and below count; -1: none. Cells of a column
+        have consecutive numbers."""
         voxels = self._voxels[cells]
         z, rest = voxels % self._size[2], voxels // self._size[2]
         x, y = rest // self._size[1], rest % self._size[1]
@@ -291,23 +292,24 @@ class SurfaceCells:
         return own.take(kept), other.take(kept)
 
     def _first_in(self, voxel: NDArray[np.int64]) -> NDArray[np.int64]:
-        """The number of cells in voxels before these, by their places in the box."""
+        """Return the number of cells in voxels before these, by voxel number in the box."""
         if self._start_table is not None:
             return self._start_table.take(voxel).astype(np.int64)
         return self._voxels.searchsorted(voxel).astype(np.int64)
 
     @cached_property
     def links(self) -> Links:
-        """Which cells share a face of their voxels, or a voxel, and do not face opposite ways."""
+        """Return which cells share a voxel or a face of their voxels, and do not face opposite directions."""
         return self._linked(1)
 
     @cached_property
     def diagonals(self) -> Links:
-        """Which cells share no more than an edge of their voxels, and do not face opposite ways."""
+        """Return which cells share only an edge of their voxels, and do not face opposite directions."""
         return self._linked(2)
 
     def _linked(self, steps: int) -> Links:
-        """Pairs of cells whose voxels are at most one apart along each axis, and along all together `steps`; 2: just so many."""
+        """Return pairs of cells in voxels at most one step apart along each axis, and at most `steps` along all together. With 2,
+        exactly 2."""
         counts, cells = [np.zeros(1, np.int64)], [np.empty(0, np.int32)]
         for a in range(0, len(self), _CHUNK):
             chosen = np.arange(a, min(a + _CHUNK, len(self)))
@@ -319,7 +321,7 @@ class SurfaceCells:
         return Links(np.cumsum(np.concatenate(counts)), np.concatenate(cells))
 
     def _steps(self, one: NDArray[np.int64], two: NDArray[np.int64]) -> NDArray[np.int64]:
-        """How many voxels lie between cells, along all axes together."""
+        """Return the number of voxels between cells, summed over all axes."""
         found = np.zeros(len(one), np.int64)
         there = [self._voxels.take(cells) for cells in (one, two)]
         for size in (self._size[2], self._size[1]):
@@ -330,7 +332,8 @@ class SurfaceCells:
 
     @property
     def block(self) -> Cells:
-        """For each cell the nearest 16 of its 3³ block with itself, int32[n,16], ascending; `len(self)` where there are fewer."""
+        """Return, for each cell, the nearest 16 cells of its 3³ block, itself included, int32[n,16], ascending; padded with
+        `len(self)`."""
         return self.nearest(NEAREST)
 
     def nearest(self, k: int) -> Cells:
@@ -371,8 +374,8 @@ class SurfaceCells:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Known:
-    """What was found for points: the cells `of` which, the `key` of each point's voxel and side (-1 outside the box) and the
-    `cell` there, -1 for none."""
+    """Lookup results of points: `of` which cells; the `key` of each point's voxel and side (-1 outside the box); and the `cell`
+    there, -1 for none."""
 
     of: SurfaceCells
     key: NDArray[np.int64]
@@ -380,6 +383,6 @@ class Known:
 
 
 def compatible(a: NDArray[np.int64], b: NDArray[np.int64]) -> NDArray[np.bool_]:
-    """Whether sides are not opposite: what an agent can walk from one to the other of in one cell."""
+    """Return whether sides are not opposite, so that an agent can walk from one to the other within one cell."""
     other: NDArray[np.bool_] = (a ^ 1) != b
     return other

@@ -14,7 +14,7 @@ from antdsl.scene.setting import BorderFlow, SolvedFlow, SpreadFlow
 
 _PIECES = 8  # of a radius or border, where no cell is given
 _ACROSS = 64  # pieces of the ground's extent, where there is no radius either
-_ACROSS_CROWD = 48  # the same, where it is worked out again and again
+_ACROSS_CROWD = 48  # the same, for a flow that is solved repeatedly
 _OWN_POINTS = 200_000  # at most, where the cell is not given
 _LEAST = 1e-12  # of the extent
 Floats = NDArray[np.float64]
@@ -25,7 +25,7 @@ _MOST_CUTS = 1024  # along one edge
 
 
 class LatticeTooFine(ValueError):
-    """More points than are allowed; `needed` is about how many."""
+    """The lattice needs more points than allowed; `needed` is the approximate count."""
 
     def __init__(self, needed: int) -> None:
         super().__init__(f"about {needed:,} points")
@@ -33,12 +33,12 @@ class LatticeTooFine(ValueError):
 
 
 def slots_of(cuts: Index) -> int:
-    """How many slots faces with so many cuts along an edge have."""
+    """Return the number of slots of faces with `cuts` cuts along an edge."""
     return int(((cuts + 1) * (cuts + 2) // 2).sum())
 
 
 def cuts_for(longest: Floats, cell: float | Floats) -> Index:
-    """Powers of two that cut edges of these lengths (mm) into pieces of at most `cell`; 1 where that is infinite."""
+    """Return powers of two that cut edges of these lengths (mm) into pieces of at most `cell`; 1 where `cell` is infinite."""
     with np.errstate(divide="ignore"):
         pieces = np.clip(longest / cell, 1.0, _MOST_CUTS)
     cuts: Index = np.left_shift(1, np.frexp(pieces * (1 - 1e-9))[1].astype(np.int64))
@@ -47,8 +47,8 @@ def cuts_for(longest: Floats, cell: float | Floats) -> Index:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Lattice:
-    """Face f has `cuts[f]` pieces along an edge and (cuts + 1)(cuts + 2) / 2 slots from `start[f]` on: row by row along the way
-    to the third corner, in a row along the way to the second."""
+    """Points on faces. Face f has `cuts[f]` pieces along an edge and (cuts + 1)(cuts + 2) / 2 slots from `start[f]` on. Rows go
+    towards the third corner; slots in a row go towards the second."""
 
     cuts: Index
     start: Index
@@ -62,7 +62,7 @@ class Lattice:
         return slots_of(self.cuts)
 
     def locate(self, face: Index, b1: Floats, b2: Floats) -> tuple[Index, Floats]:
-        """The three slots around each place (3, n), and their weights (3, n)."""
+        """Return the three slots around each position (3, n), and their weights (3, n)."""
         n, start = self.cuts.take(face), self.start.take(face)
         u, v = b1 * n, b2 * n
         j = np.clip(v.astype(np.int64), 0, n - 1)
@@ -88,7 +88,7 @@ class Lattice:
         return b1, b2
 
     def triangles(self) -> tuple[Index, Index]:
-        """The small triangles: three slots each (t, 3), wound like their face, and their face (t,)."""
+        """Return the small triangles: three slots each (t, 3), with the winding of their face, and their face (t,)."""
         parts, owners = [np.empty((0, 3), np.int64)], [np.empty(0, np.int64)]
         for n, chosen, i, j in self._groups():
             own = np.arange(len(i))
@@ -103,7 +103,7 @@ class Lattice:
         return np.concatenate(parts), np.concatenate(owners)
 
     def _groups(self) -> list[tuple[int, Index, Index, Index]]:
-        """Faces with the same number of cuts n, and the column i and row j of each of their slots."""
+        """Return, for each number of cuts n, the faces with it, and the column i and row j of each of their slots."""
         found = []
         for n in np.unique(self.cuts).tolist():
             j = np.repeat(np.arange(n + 1), np.arange(n + 1, 0, -1))
@@ -113,7 +113,7 @@ class Lattice:
 
 
 def welded(places: Floats, owner: NDArray[np.integer]) -> tuple[Index, int]:
-    """A number for each place (n, 3), the same for those of one owner at one place, and how many numbers there are."""
+    """Return a number for each position (n, 3), equal for equal positions of one owner, and the count of numbers."""
     if not len(places):
         return np.empty(0, np.int64), 0
     low = places.min(axis=0)
@@ -129,7 +129,7 @@ def welded(places: Floats, owner: NDArray[np.integer]) -> tuple[Index, int]:
 
 
 def cell_of(flow: SpreadFlow | BorderFlow | SolvedFlow, extent: float) -> float:
-    """The edge (mm) of the cells of a flow: its own `cell`, or what fits a ground of such an extent (mm)."""
+    """Return the edge (mm) of a flow's cells: its own `cell`, or a default for a ground of that extent (mm)."""
     if flow.cell is not None:
         return flow.cell
     if isinstance(flow, BorderFlow):
@@ -141,8 +141,9 @@ def cell_of(flow: SpreadFlow | BorderFlow | SolvedFlow, extent: float) -> float:
 
 
 def flow_cuts(flow: SpreadFlow | BorderFlow | SolvedFlow, longest: Floats, extent: float) -> Index:
-    """How many pieces the edges of each face have. `longest` (n): the longest edge (mm) of each, 0 where the flow is not asked
-    for. A default cell is made larger where there would be too many points. LatticeTooFine where the scene's is too small."""
+    """Return how many pieces the edges of each face are cut into. `longest` (n): the longest edge (mm) of each face, 0 where the
+    flow is not needed. A default cell is enlarged if there would be too many points. Raises LatticeTooFine if the scene's cell is
+    too small."""
     cell = cell_of(flow, extent)
     while True:
         cuts = cuts_for(longest, cell)

@@ -1,5 +1,5 @@
-"""Flows and maps on surfaces, as agents read them by their footing: vectors along the face, painted numbers; and flows about a
-curve or places, which are known everywhere."""
+"""Flows and maps on surfaces, read by agents through their footing: vectors along the face, and painted numbers. Also flows
+around a curve or points, which are defined everywhere."""
 
 from __future__ import annotations
 
@@ -21,12 +21,13 @@ if TYPE_CHECKING:
 Singles = tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]
 Source = Callable[[Floats], Floats]  # vectors (n, 3) at places (n, 3), not yet laid into any surface
 
-_CURVE_PIECE = 1.0  # mm, as curves that are asked for their nearest point
+_CURVE_PIECE = 1.0  # mm, as for curves with queries for their nearest point
 _LIFT = 0.5  # cosine below which a vector that is laid down loses length
 
 
 def laid(v: Floats, axis1: Floats, axis2: Floats) -> tuple[Floats, Floats]:
-    """Vectors (n, 3) along faces with these axes (3, n): their parts c, s. Up to 60 degrees off the face the length is kept."""
+    """Return the parts c, s of vectors (n, 3) along faces with these axes (3, n). Up to 60 degrees off the face the length is
+    preserved."""
     c, s = (axis1 * v.T).sum(axis=0), (axis2 * v.T).sum(axis=0)
     flat = np.sqrt(c * c + s * s)
     length = np.sqrt((v * v).sum(axis=1))
@@ -35,7 +36,7 @@ def laid(v: Floats, axis1: Floats, axis2: Floats) -> tuple[Floats, Floats]:
 
 
 def laid_by_up(v: Floats, up: Floats) -> Floats:
-    """The same across `up` (n, 3), for who stands on no face."""
+    """Project vectors onto the plane perpendicular to `up` (n, 3), for agents that stand on no face."""
     across = v - (v * up).sum(axis=1)[:, None] * up
     flat, length = (np.sqrt((w * w).sum(axis=1)) for w in (across, v))
     down: Floats = across * (np.minimum(length, flat / _LIFT) / np.where(flat > 1e-150, flat, 1.0))[:, None]
@@ -43,7 +44,7 @@ def laid_by_up(v: Floats, up: Floats) -> Floats:
 
 
 def falling(distance: Floats, radius: float | None, word: str) -> Floats:
-    """Strength at a distance: 1 at the source, 0 at `radius` and beyond."""
+    """Return the strength at a distance: 1 at the source, 0 at `radius` and beyond."""
     if radius is None:
         return np.ones_like(distance)
     t = np.minimum(distance / radius, 1.0)
@@ -55,10 +56,10 @@ def falling(distance: Floats, radius: float | None, word: str) -> Floats:
 
 @dataclass(slots=True, eq=False)
 class Flow:
-    """A flow in the slots of a lattice over the ground's faces: its parts `c`, `s` along the axes of each face.
+    """A flow in the slots of a lattice over the ground's faces: its components `c`, `s` along the axes of each face.
 
-    `source` knows it anywhere, for agents that stand on none of the faces; without one it is nothing there. `renew` works it out
-    for what has moved since."""
+    `source` evaluates it anywhere, for agents that stand on none of the faces; without it the flow is zero there. `renew` updates
+    it after things moved."""
 
     lattice: Lattice
     c: Floats
@@ -72,8 +73,8 @@ class Flow:
         return (self.c.take(slots) * weights).sum(axis=0), (self.s.take(slots) * weights).sum(axis=0)
 
     def at(self, meshes: Meshes | None, footing: Footing, place: Floats, up: Floats) -> Singles:
-        """Vectors where agents stand, as float32 x, y, z. `meshes` is the ground's part with faces, or None; `place` and `up`
-        (n, 3) serve those that stand on no face."""
+        """Return vectors at the agents' positions, as float32 x, y, z. `meshes` is the ground's part with faces, or None; `place`
+        and `up` (n, 3) are for agents on no face."""
         found, known = np.zeros((3, len(place))), np.zeros(len(place), bool)
         if meshes is not None:
             face, known = meshes.on_faces(footing)
@@ -85,21 +86,22 @@ class Flow:
         return tuple(np.ascontiguousarray(part, np.float32) for part in found)  # type: ignore[return-value]
 
     def reaches(self, meshes: Meshes | None, footing: Footing, place: Floats, up: Floats) -> NDArray[np.bool_]:
-        """Whether it leads agents on from where they stand, bool[n]: whether it is anything there. Arguments as of `at`."""
+        """Return whether the flow leads agents on from their positions, bool[n]: whether it is non-zero there. Arguments as of
+        `at`."""
         x, y, z = self.at(meshes, footing, place, up)
         found: NDArray[np.bool_] = (x != 0) | (y != 0) | (z != 0)
         return found
 
     def show(self, arrays: dict[str, NDArray[Any]]) -> None:
-        """Give as `state` what these arrays say, without being it: for a copy that is only looked at."""
+        """Make `state` return these arrays without applying them: for a copy that is only displayed."""
 
     def begin(self, world: World) -> None:
-        """Before each step; a flow that was worked out once and for all has nothing to do."""
+        """Update the flow before each step; a flow that is computed once does nothing."""
         if self.renew is not None:
             self.renew(world)
 
     def state(self) -> dict[str, NDArray[Any]]:
-        """What has to be kept to go on, by name; nothing where the frame alone says what the flow is."""
+        """Return the arrays that a continued run needs, by name; none where the frame alone determines the flow."""
         return {}
 
     def restore(self, arrays: dict[str, NDArray[Any]]) -> None:
@@ -108,7 +110,7 @@ class Flow:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Map:
-    """Painted numbers: one in each corner of each face of the ground, (3, faces); 0 on surfaces that are not painted."""
+    """Painted numbers: one per corner of each face of the ground, (3, faces); 0 on unpainted surfaces."""
 
     corners: Floats
 
@@ -123,7 +125,7 @@ class Map:
 
 
 def nearest(target: Target, places: Floats) -> tuple[Floats, Floats, Floats]:
-    """Distance (n,), nearest place (n, 3) and unit way along (n, 3; nothing for single places) of a target."""
+    """Return distance (n,), nearest position (n, 3) and unit tangent (n, 3; zero for single points) of a target."""
     if target.line:
         found = Curve(target.places, _CURVE_PIECE).closest(*places.T)
         columns = (found.px, found.py, found.pz, found.tx, found.ty, found.tz)
@@ -136,7 +138,7 @@ def nearest(target: Target, places: Floats) -> tuple[Floats, Floats, Floats]:
 
 
 def spread(flow: SpreadFlow, target: Target) -> Source:
-    """The vectors of a flow about a target (already in the world's own axes and origin)."""
+    """Return the vectors of a flow around a target, which is already in the world's axes and origin."""
 
     def vectors(places: Floats) -> Floats:
         distance, point, along = nearest(target, places)

@@ -1,4 +1,4 @@
-"""Cells on ground that can be dug: what was dug gets cells of its own, behind those that were there from the start."""
+"""Cells on ground that can be dug: dug ground gets separate cells, behind those that were there from the start."""
 
 from __future__ import annotations
 
@@ -23,8 +23,8 @@ Numbers = tuple[Array1[I64], Array1[I64]]  # voxels and keys of cells
 
 
 class GrowingCells(SurfaceCells):
-    """`SurfaceCells` that `grow`. Cells keep their numbers: those from the start, by place, then side; then those added, step by
-    step; then room for more, cells that are nowhere and that nothing asks for."""
+    """`SurfaceCells` that `grow`. Cells never change their number. The initial cells come first, by position, then side. Added
+    cells follow, step by step. Then come unused cells as reserve; no query returns them."""
 
     def __init__(self, surfaces: Sequence[Mesh], cell: float, cap: int = limits.FIELD_CELLS) -> None:
         super().__init__(surfaces, cell, cap)
@@ -40,7 +40,7 @@ class GrowingCells(SurfaceCells):
         return {"keys": self._keys[new], "places": np.concatenate([self.position[new], self.normal[new]], axis=1)}
 
     def grow(self, points: Floats, normals: Floats) -> NDArray[np.int64]:
-        """Cells for points [n,3] of new surface with unit normals [n,3] where there are none yet; gives their numbers."""
+        """Add cells for points [n,3] of new surface with unit normals [n,3] where there are none yet; return their numbers."""
         voxel = np.floor(points / self.cell + 0.5).astype(np.int64) - self._low
         within = ((voxel >= 0) & (voxel < self._size)).all(axis=1)
         points, normals, voxel = points[within], normals[within], voxel[within]
@@ -51,7 +51,7 @@ class GrowingCells(SurfaceCells):
         return self.add(keys, np.concatenate([sums[:, :3] / sums[:, 6:], normal], axis=1))
 
     def add(self, keys: NDArray[np.int64], places: Floats) -> NDArray[np.int64]:
-        """Cells with these keys, which none has yet, and places [n,6]: position and normal. Gives their numbers."""
+        """Add cells with these keys, which must be new, and places [n,6]: position and normal. Return their numbers."""
         count = min(len(keys), max(self._cap - self.used, 0))
         if not count:
             return np.empty(0, np.int64)
@@ -109,7 +109,7 @@ class GrowingCells(SurfaceCells):
         return np.where(within & (keys.take(at) == key), self._sorted.take(at), -1).astype(np.int32)
 
     def _around(self, cells: NDArray[np.int64], column: Callable[[int, int], int]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        """As for cells that stay, all voxels and sides at once: the cells that are added in a step are few."""
+        """As for fixed cells, with all voxels and sides in one pass: few cells are added in a step."""
         at = self._voxels[cells]
         voxel = np.stack([at // (self._size[1] * self._size[2]), at // self._size[2] % self._size[1], at % self._size[2]])
         block = [offset for offset in BLOCK if abs(offset[2]) <= column(*offset[:2])]
@@ -184,7 +184,7 @@ def nearby(
     direct: Array1[I32], size: Array1[I64], position: Array2[F64], points: Array2[F64], voxel: Array2[I64], side: Array1[I64],
     best: Array1[I64],
 ) -> None:  # fmt: skip
-    """Fill `best` with the nearest cell of a compatible side in the 27 voxels about that of each point, -1 for none."""
+    """Fill `best` with the nearest cell of a compatible side in the 27 voxels around each point, -1 for none."""
     for n in range(best.size):
         least = np.inf
         best[n] = -1

@@ -1,4 +1,4 @@
-"""Whole numbers that ascend: where one is among them, and what groups of them have together."""
+"""Ascending integers: lookup of a number, and sums over groups."""
 
 from __future__ import annotations
 
@@ -14,7 +14,8 @@ _BLOCKS = 8_000_000  # at most, that tell about where a number is
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Index:
-    """Ascending numbers cut into blocks of 2**shift: where each begins, and how many halvings find a number in the fullest."""
+    """Ascending numbers cut into blocks of 2**shift: where each begins, and the binary search steps needed in the fullest
+    block."""
 
     shift: int
     start: NDArray[np.int32]
@@ -29,7 +30,7 @@ class Index:
         return Index(shift, start, int(np.diff(start).max(initial=0)).bit_length())
 
     def place(self, numbers: NDArray[np.int64], asked: NDArray[np.int64]) -> NDArray[np.int64]:
-        """How many of the numbers are less, for each of those asked, from 0 to before the end."""
+        """Return for each queried number how many of the numbers are less. Queries are from 0 to before the end."""
         block = asked >> self.shift
         low, high = self.start.take(block).astype(np.int64), self.start.take(block + 1).astype(np.int64)
         for _ in range(self.halvings):
@@ -44,7 +45,7 @@ NO_CELLS = np.empty(0, np.int32)
 
 
 def rank(counts: NDArray[np.int64]) -> NDArray[np.int64]:
-    """0, 1, … for each of groups of so many that follow each other."""
+    """Return 0, 1, … within each of consecutive groups with these counts."""
     found: NDArray[np.int64] = np.arange(int(counts.sum())) - np.repeat(np.cumsum(counts) - counts, counts)
     return found
 

@@ -1,5 +1,5 @@
-"""The cheapest way over triangles to a goal: a graph's shortest ways first, then straightened across the triangles; its direction
-in every point."""
+"""The cheapest path over triangles to a goal: shortest paths in a graph, then straightened across the triangles; and the
+direction of the path at every point."""
 
 from __future__ import annotations
 
@@ -12,15 +12,15 @@ Floats = NDArray[np.float64]
 Index = NDArray[np.int64]
 Flags = NDArray[np.bool_]
 
-_ROUNDS = 40  # a band of points is worked out so often at most, since its points depend on each other
+_ROUNDS = 40  # most times that a band of points is computed, since its points depend on each other
 _PASSES = 8  # over all bands at most: the order of the last pass is not quite that of this one
 _ENOUGH = 0.01  # of an edge: what a pass changes less than is left
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Land:
-    """Points (n, 3) and triangles (t, 3) of them; `open` (t,) says which can be crossed. `links` (k, 2) are points of different
-    surfaces that lie beside each other."""
+    """Points (n, 3) and triangles (t, 3) of them; `open` (t,) says which can be crossed. `links` (k, 2) are adjacent points of
+    different surfaces."""
 
     points: Floats
     triangles: Index
@@ -29,13 +29,12 @@ class Land:
 
 
 def ways(land: Land, cost: Floats, start: Index, first: Floats) -> Floats:
-    """The least cost of a way from each point to the goal, inf where there is none.
+    """Return the least cost of a path from each point to the goal, inf where there is none.
 
-    `cost` (t,) is that of a mm within each triangle, `start` the points at the goal and `first` what is still to go from there.
-    Dijkstra's shortest ways along edges, over all points, are an upper bound; then each point is worked out anew in their
-    order from the edges across from it, as a wave front that is straight within a triangle (R. Kimmel and J. A. Sethian,
-    Computing geodesic paths on manifolds, PNAS 95, 1998, p. 8432, whose update for obtuse corners is replaced by the edges'
-    bound)."""
+    `cost` (t,): the cost of a mm within each triangle. `start`: the points at the goal; `first`: the remaining cost from there.
+    Dijkstra's shortest paths along edges, over all points, are an upper bound. Then each point is computed again in their order
+    from the edges across from it. The wave front is straight within a triangle (R. Kimmel and J. A. Sethian, Computing geodesic
+    paths on manifolds, PNAS 95, 1998, p. 8432). Their update for obtuse corners is replaced by the edges' bound."""
     bound = _along_edges(land, cost, start, first)
     halves = _halves(land, cost)
     enough = _ENOUGH * float(np.median(halves.length)) if len(halves.length) else 0.0
@@ -50,8 +49,8 @@ def ways(land: Land, cost: Floats, start: Index, first: Floats) -> Floats:
 
 
 def directions(land: Land, bound: Floats) -> Floats:
-    """Unit ways downhill of `bound` in each point (n, 3), the mean of the triangles around by their areas; nothing where there is
-    no way, or at the goal."""
+    """Return unit directions of descent of `bound` at each point (n, 3): the mean of the surrounding triangles, weighted by area.
+    Zero where there is no path, and at the goal."""
     corners, values = land.points[land.triangles], bound[land.triangles]
     known = land.open & np.isfinite(values).all(axis=1)
     corners, values, triangles = corners[known], values[known], land.triangles[known]
@@ -78,7 +77,7 @@ def _unit(v: Floats) -> Floats:
 
 
 def _along_edges(land: Land, cost: Floats, start: Index, first: Floats) -> Floats:
-    """Shortest ways along the edges of the open triangles and the links."""
+    """Return the cost of the shortest paths along the edges of the open triangles and the links."""
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import dijkstra
 
@@ -124,8 +123,8 @@ def _over_links(land: Land, cost: Floats, bound: Floats) -> None:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Halves:
-    """For each corner of each open triangle: the point there, the ends of the edge across from it, that edge's length, where the
-    corner's foot lies along it, how high the corner is above it, and the cost of a mm."""
+    """For each corner of each open triangle: its point, the ends of the opposite edge, that edge's length, the foot of the height
+    on it, the height, and the cost per mm."""
 
     corner: Index
     one: Index
@@ -152,7 +151,7 @@ def _halves(land: Land, cost: Floats) -> _Halves:
 
 
 def _straighten(bound: Floats, halves: _Halves) -> None:
-    """Lower `bound` in the order of what it is: band by band of points, each from the edges across from it."""
+    """Lower `bound` in ascending order of its value: band by band of points, each from the opposite edges."""
     reached = np.isfinite(bound)
     rank = np.empty(len(bound), np.int64)
     rank[np.argsort(bound, kind="stable")] = np.arange(len(bound))
@@ -175,7 +174,7 @@ def _straighten(bound: Floats, halves: _Halves) -> None:
 
 
 def _fronts(bound: Floats, h: _Halves) -> Floats:
-    """What a corner costs by the best straight way from the edge across from it."""
+    """Return the cost of a corner by the best straight path from the opposite edge."""
     from_one, rise = bound[h.one], (bound[h.two] - bound[h.one]) / h.length
     share = np.clip(rise / h.cost, -1 + 1e-12, 1 - 1e-12)
     left = np.clip(h.foot - share * h.height / np.sqrt(1 - share * share), 0.0, h.length)

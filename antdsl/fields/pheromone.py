@@ -1,4 +1,4 @@
-"""Scent on surfaces: it is laid in cells, fades, spreads and is smelled. Deposits add exactly, in whatever order they come."""
+"""Pheromone on surfaces: it is deposited in cells, evaporates, diffuses and is smelled. Deposits add exactly, in any order."""
 
 from __future__ import annotations
 
@@ -27,12 +27,12 @@ _SYMMETRIC = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
 
 
 class PheromoneField:
-    """Amounts of one scent in the cells of surfaces.
+    """Amounts of one pheromone in the cells of surfaces.
 
-    `combine` says what several deposits in one cell and step do: `add` up, or leave the greatest (`max`). `limit` is the most
-    that a cell holds. `values` float64[cells] is what was there at the start of a step; deposits land at its end, or before it
-    spreads and fades with `deposits_first`. It spreads to cells beside each other, with `stencil` 8 to those at an edge too.
-    """
+    `combine` says what several deposits in one cell and step do: `add`, or take the greatest (`max`). `limit` is the largest
+    amount of a cell. `values` float64[cells] is the state at the start of a step. Deposits are added at its end, or with
+    `deposits_first` before diffusion and evaporation. Diffusion is between cells that share a face, with `stencil` 8 also between
+    those that share an edge."""
 
     def __init__(
         self,
@@ -54,22 +54,23 @@ class PheromoneField:
 
     @property
     def values(self) -> NDArray[np.float64]:
-        """What each cell holds; write into it to restore a state."""
+        """The amount in each cell; write into it to restore a state."""
         return self._padded[:-1]
 
     @property
     def held(self) -> NDArray[np.float64]:
-        """What each cell holds, and 0 for a cell that is not there, past the end."""
+        """The amount in each cell, followed by a 0 that stands for no cell."""
         return self._padded
 
     @property
     def seen_places(self) -> NDArray[np.float32]:
-        """Places of cells as agents see them, x, y, z and 0 side by side, float32[cells + 1, 4], the last one for no cell."""
+        """Positions of cells as agents see them: x, y, z and 0 in each row, float32[cells + 1, 4]. The last row is for no
+        cell."""
         return self._seen
 
     @property
     def pending(self) -> NDArray[np.int64]:
-        """Deposits that have not landed, in each cell, in units; who writes here says so by `touch`."""
+        """Deposits that were not added yet, in each cell, in units; call `touch` after writing here."""
         return self._pending
 
     def touch(self) -> None:
@@ -92,21 +93,20 @@ class PheromoneField:
 
     @property
     def added(self) -> dict[str, NDArray[Any]]:
-        """Cells added since the start, for `grow_again`; no entry where none can be."""
+        """The cells added since the start, for `grow_again`; empty if cells cannot be added."""
         return self.cells.added if isinstance(self.cells, GrowingCells) else {}
 
     def grow_again(self, keys: NDArray[np.int64], places: NDArray[np.float64]) -> None:
-        """Add the cells that `added` told of, where they have not been; other fields may share them."""
+        """Add the cells that `added` reported, where they are missing; other fields may share them."""
         assert isinstance(self.cells, GrowingCells)
         known = self.cells.used - self.cells.at_start
         self.cells.add(keys[known:], places[known:])
         self.grow(np.arange(self.cells.at_start, self.cells.used))
 
     def deposit(self, cells: Cells, amounts: Floats) -> int:
-        """Lay amounts in cells (-1 = nowhere), to be there after `step`. Returns how many were refused or cut.
+        """Deposit amounts in cells (-1 = nowhere), added by `step`. Returns how many were rejected or cut.
 
-        What is not a number is not laid; more than LARGEST_DEPOSIT is cut to it. With `combine` max only what is above 0 counts.
-        """
+        NaN is rejected; amounts above LARGEST_DEPOSIT are cut to it. With `combine` max only amounts above 0 count."""
         cells, amounts = np.asarray(cells), np.asarray(amounts, np.float64)
         good = np.isfinite(amounts)
         wrong = int(np.count_nonzero(~good | (np.abs(amounts) > LARGEST_DEPOSIT)))
@@ -118,15 +118,15 @@ class PheromoneField:
         return wrong
 
     def leave(self, cells: NDArray[np.integer[Any]], amounts: NDArray[np.float64]) -> None:
-        """Of each cell, named once, so much is left when the field steps: the rest was taken."""
+        """Set the amount that is left in each of these cells when the field steps, because agents took the rest. Cells are
+        distinct."""
         self._left.append((cells, amounts))
 
     def step(self, keep: float, diffusion: float, dt: float, threads: int = 1) -> None:
-        """One step of `dt` s: what was taken is gone, then spread by `diffusion` (mm²/s), keep the share `keep`, then let the
-        deposits land; or those before it spreads.
+        """Make one step of `dt` s: remove what agents took, diffuse by `diffusion` (mm²/s), multiply by `keep`, then add the
+        deposits; or add them before diffusion.
 
-        Raises ValueError, with the largest stable value, when `diffusion` is more than the cell allows.
-        """
+        Raises ValueError, with the largest stable value, if `diffusion` is unstable for the cell size."""
         values = self.values
         for cells, amounts in self._left:
             values[cells] = amounts
@@ -152,20 +152,19 @@ class PheromoneField:
 
     @cached_property
     def _laplacian(self) -> _Flow:
-        """Flow into each cell for a unit of diffusion, as a sparse matrix whose columns sum to 0.
+        """The flow into each cell for a unit of diffusion, as a sparse matrix with columns that sum to 0.
 
-        Between two cells flows 4 / max(4, links of either) of their difference: the five-point stencil on a plane, and
-        nowhere more than four links' worth in all, so what is stable depends on the size of a cell alone. With a stencil of 8
-        two thirds of that, and a sixth of as much between cells at each other's edges: on a plane the nine-point Laplacian
-        (4, 1) / 6, whose error is the same in all directions (Patra and Karttunen, Stencils with isotropic discretization error
-        for differential operators, Numerical Methods for Partial Differential Equations 22, 2006).
-        """
+        Between two cells flows 4 / max(4, links of either) of their difference. This is the five-point stencil on a plane, and
+        nowhere more than four links' worth in all. So stability depends on the size of a cell alone. A stencil of 8 has two
+        thirds of that, and a sixth of as much between cells at each other's edges. On a plane this is the nine-point Laplacian
+        (4, 1) / 6, with the same error in all directions (Patra and Karttunen, Stencils with isotropic discretization error for
+        differential operators, Numerical Methods for Partial Differential Equations 22, 2006)."""
         if self.stencil == 4:
             return _Flow(self._flow_along(self.cells.links, 1.0))
         return _Flow(self._flow_along(self.cells.links, 2 / 3) + self._flow_along(self.cells.diagonals, 1 / 6))
 
     def _flow_along(self, links: Links, share: float) -> Any:
-        """Flow between linked cells, as a sparse matrix: as much as `share` of 4 / max(4, links of either)."""
+        """Return the flow between linked cells as a sparse matrix: `share` times 4 / max(4, links of either)."""
         from scipy.sparse import csr_array
 
         count = np.diff(links.start)
@@ -178,10 +177,11 @@ class PheromoneField:
         return self._padded.take(np.where(np.asarray(cells) < 0, len(self.cells), cells)).astype(np.float32)
 
     def strongest(self, cells: Cells, k: int = NEAREST) -> tuple[Floats, Floats, Floats, Floats]:
-        """The most that one of the nearest `k` cells of the 3³ block holds, and that cell's place (x, y, z in mm), float32[n].
+        """Return the largest amount in one of the nearest `k` cells of the 3³ block, and that cell's position (x, y, z in mm),
+        float32[n].
 
-        Of equal cells the first. Where none holds anything the value is 0 and the place is the own cell's; (0, 0, 0) for -1.
-        """
+        The first of equal cells counts. If all are 0 the value is 0 and the position is that of the agent's cell; (0, 0, 0) for
+        -1."""
         own = np.asarray(cells).astype(np.int32, copy=False)
         best, value = np.empty(own.size, np.int64), np.empty(own.size)
         strongest(own, self._block(k), self._padded, best, value)
@@ -189,14 +189,14 @@ class PheromoneField:
         return value.astype(np.float32), x, y, z
 
     def askers(self, k: int) -> tuple[NDArray[np.int64], Cells]:
-        """For each cell those among whose nearest `k` it is, of cells that do not grow, as rows of a table: cell a's are
-        `cell[start[a]:start[a+1]]`, ascending."""
+        """Return for each cell those that have it among their nearest `k`, of cells that do not grow. They are rows of a table:
+        cell a's are `cell[start[a]:start[a+1]]`, ascending."""
         if k not in self._askers:
             self._askers[k] = _askers(self._block(k), len(self.cells))
         return self._askers[k]
 
     def gradient(self, cells: Cells, k: int = NEAREST) -> tuple[Floats, Floats, Floats]:
-        """Direction and strength in which scent grows along the surface, per mm: least squares over the nearest `k` cells."""
+        """Return direction and strength of the gradient along the surface, per mm: least squares over the nearest `k` cells."""
         own = np.asarray(cells, np.int64)
         known = (own >= 0) & (len(self.cells) > 0)
         own = np.where(known, own, 0)
@@ -228,7 +228,7 @@ class PheromoneField:
 
     @cached_property
     def _seen(self) -> NDArray[np.float32]:
-        """Positions as agents see them: `_places` in float32, one cell after the other."""
+        """Positions as agents sense them: `_places` in float32, with each cell contiguous."""
         seen = np.zeros((len(self.cells) + 1, 4), np.float32)
         seen[:, :3] = self._places.T
         return seen
@@ -248,7 +248,7 @@ def _askers(block: Cells, cells: int) -> tuple[NDArray[np.int64], Cells]:
 
 
 class _Flow:
-    """A symmetric flow between cells: what comes in from the linked cells less what goes out."""
+    """A symmetric flow between cells: inflow from the linked cells minus outflow."""
 
     def __init__(self, inward: Any) -> None:
         self._inward = inward
@@ -258,7 +258,8 @@ class _Flow:
         self._change = np.empty(0)
 
     def of(self, held: NDArray[np.float64], threads: int) -> NDArray[np.float64]:
-        """The flow into each cell, in an array that is written anew by the next call; `held` may have more behind the cells."""
+        """Return the flow into each cell, in an array that the next call overwrites. `held` may have more entries behind the
+        cells."""
         if not len(self._change):
             self._change = np.empty(len(self._out))
         work = partial(flowed, held, *self._links, self._out, self._change)
@@ -291,8 +292,8 @@ def flowed(
     begin: I64,
     end: I64,
 ) -> None:
-    """Write what flows into each cell from `begin` to before `end` less what flows out: from its linked cells
-    `cell[start[n]:start[n+1]]`, of whose amounts comes the share `data`; `out` is the share of its own that leaves it."""
+    """Write the inflow less the outflow of each cell from `begin` to before `end`. The share `data` of the amounts of its linked
+    cells `cell[start[n]:start[n+1]]` flows in. The share `out` of the cell's amount flows out."""
     for n in range(begin, end):
         total = 0.0
         for k in range(start[n], start[n + 1]):
@@ -314,9 +315,9 @@ def stepped(
     begin: I64,
     end: I64,
 ) -> None:
-    """Take cells from `begin` to before `end` through a step: `spread` of the `change` is added (an empty array: none), the share
-    `keep` stays, then deposits `pending`, in units, are added (`lands` 1) or are the least that is there (2), and what is no more
-    than the `least` is nothing. `pending` is 0 afterwards."""
+    """Advance cells from `begin` to before `end` by a step. `spread` of the `change` is added (an empty array: none), and the
+    share `keep` stays. Then deposits `pending`, in units, are added (`lands` 1) or are the least amount (2). Amounts are at most
+    `limit`; those below `least` become 0. Landed deposits in `pending` are 0 afterwards."""
     spreads = change.size > 0
     for n in independent(begin, end):
         value = held[n]
@@ -338,10 +339,9 @@ def stepped(
 
 @kernel
 def strongest(own: Array1[I32], block: Array2[I32], held: Array1[F64], best: Array1[I64], value: Array1[F64]) -> None:
-    """For own cells [n] (-1: none), the first of the cells in their row of `block` [cells, k] that hold most, and how much.
+    """For cells [n] (-1: none), write the first cell in their row of `block` [cells, k] with the largest amount, and that amount.
 
-    `held` [cells + 1] has 0 for no cell; where nothing is held, `best` is the own cell and `value` 0.
-    """
+    `held` [cells + 1] has 0 for no cell; if all are 0, `best` is the cell itself and `value` 0."""
     none = held.size - 1
     for n in range(own.size):
         cell = own[n]

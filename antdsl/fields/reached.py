@@ -1,4 +1,4 @@
-"""Around which cells a scent is as strong as a number, kept up from step to step by the few cells where that has changed."""
+"""Cells around which a scent is as strong as a number, updated from step to step by the few cells where that has changed."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ _PART = 512  # cells that are compared before those that differ are written down
 
 
 class Reached:
-    """For which cells of a field one of the nearest `k` of their block holds as much as `least` in float32. It may say so of all:
-    where `least` is not above 0, where cells grow, and where there are too many of them."""
+    """Tells for which cells of a field one of the nearest `k` cells of their block has at least `least`, in float32. It says yes
+    for all cells if `least` is not above 0, if cells grow, or if there are too many cells."""
 
     def __init__(self, field: PheromoneField, least: np.float32, k: int) -> None:
         self._of, self._k = (field, field.version, least), k
@@ -29,13 +29,13 @@ class Reached:
         self._changed = np.empty(len(self._holds), np.int64)
 
     def of(self, field: PheromoneField, least: np.float32) -> bool:
-        """Whether it tells of a field, with the cells that it has now, and a strength."""
+        """Return whether this object is for a field, with its current cells, and a strength."""
         known, version, strength = self._of
         return known is field and version == field.version and strength == least
 
     def now(self, threads: int = 1) -> NDArray[np.uint8]:
-        """Above 0 for cells around which it is reached by what the field holds now, uint8[cells + 1], the last one for no cell;
-        it is written anew by the next call."""
+        """Return uint8[cells + 1], above 0 for cells around which the present amounts of the field reach it. The last one is for
+        no cell. The next call overwrites it."""
         if not self._all:
             changed = self._differing(threads)
             if len(changed):
@@ -43,7 +43,7 @@ class Reached:
         return self._count
 
     def _differing(self, threads: int) -> NDArray[np.int64]:
-        """Cells that hold as much and did not before, or the other way round."""
+        """Return the cells that crossed the threshold since the last call, in either direction."""
         (field, _, least), holds = self._of, self._holds
         work = partial(differing, field.held, least, holds, self._changed)
         return parallel.joined(parallel.in_parts(work, len(holds), threads, parallel.LIGHT), self._changed)[0]
@@ -51,8 +51,8 @@ class Reached:
 
 @kernel
 def differing(held: Array1[F64], least: F32, holds: Array1[BOOL], changed: Array1[I64], begin: I64, end: I64) -> tuple[I64, I64]:
-    """Write down the cells from `begin` to before `end` of which `holds` does not say whether what they hold, in float32, is as
-    much as `least`, in `changed` from `begin` on; gives `begin`, and how many there are."""
+    """Write the cells `begin` to `end` (exclusive) for which `holds` is out of date into `changed`, from `begin` on. `holds` says
+    whether the amount, in float32, is at least `least`. Return `begin`, and their count."""
     other, count = scratch(_PART, I32), 0
     for low in range(begin, end, 512):
         high = min(low + _PART, end)
@@ -67,8 +67,8 @@ def differing(held: Array1[F64], least: F32, holds: Array1[BOOL], changed: Array
 
 @kernel
 def renew(changed: Array1[I64], start: Array1[I64], cell: Array1[I32], holds: Array1[BOOL], count: Array1[U8]) -> None:
-    """Turn round what `holds` says of the cells `changed`, and count each of them one more or less for those around which it is:
-    from its `start` on in `cell`."""
+    """Flip `holds` for the cells `changed`. Update `count` of the cells with each of them in their block, listed from its `start`
+    on in `cell`."""
     for n in range(changed.size):
         a = changed[n]
         more = -1 if holds[a] else 1

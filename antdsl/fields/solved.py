@@ -1,4 +1,4 @@
-"""A flow that leads the cheapest way to a goal, over slopes, past obstacles, by what an artist painted, and round crowds."""
+"""A flow along the cheapest path to a goal: over slopes, around obstacles and crowds, and by painted costs."""
 
 from __future__ import annotations
 
@@ -26,10 +26,10 @@ _SPREADS = 2  # how many points far a crowd is felt beyond the ground that it co
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Grounds:
-    """A lattice over some faces of the ground as land to cross.
+    """A lattice over some faces of the ground, as land to cross.
 
     `point` is the point of each slot, `axis1`, `axis2` (3, slots) the axes of its face, `areas` (t,) those of the land's
-    triangles, `faces` which faces of the ground take part."""
+    triangles. `faces` says which faces of the ground are included."""
 
     lattice: Lattice
     land: Land
@@ -42,12 +42,12 @@ class Grounds:
 
 @dataclass(slots=True, eq=False)
 class Solved(Flow):
-    """The flow downhill of what is still to pay for the way to the goal.
+    """The flow downhill of the remaining cost of the path to the goal.
 
-    Where a crowd counts or something moves, `begin` looks at that anew when it is due; points and lattice stay the same."""
+    Where a crowd counts or something moves, `begin` updates it when due; points and lattice stay the same."""
 
     grounds: Grounds | None = None
-    cost: Floats | None = None  # (t,) of a mm, nobody being there
+    cost: Floats | None = None  # (t,) of a mm, without agents
     start: Index | None = None
     first: Floats | None = None  # what is still to go from there
     gap: float = 0.0  # mm from the ground to the nearest place of the target, its radius left out
@@ -60,7 +60,7 @@ class Solved(Flow):
     stores_reached: bool = False  # where a program reads it, it is part of the state
 
     def solve(self) -> None:
-        """Work the flow out for the crowd as it was last looked at."""
+        """Compute the flow for the most recently recorded crowd."""
         g = self.grounds
         assert g is not None and self.cost is not None and self.start is not None and self.first is not None
         price = self.cost if self.crowd is None else self.cost + self.crowding * self._shares(self.crowd)
@@ -72,7 +72,8 @@ class Solved(Flow):
         self.s *= g.faces[g.lattice.faces()]
 
     def reaches(self, meshes: Meshes | None, footing: Footing, place: Floats, up: Floats) -> NDArray[np.bool_]:
-        """Whether a path leads to the goal from the lattice's point next to each agent, bool[n]; false off the flow's faces."""
+        """Return whether a path leads to the goal from the lattice point nearest to each agent, bool[n]; false off the flow's
+        faces."""
         g = self.grounds
         if meshes is None or g is None or self.reached is None:
             return np.zeros(len(place), bool)
@@ -86,7 +87,7 @@ class Solved(Flow):
         return nearest
 
     def _shares(self, crowd: NDArray[np.int64]) -> Floats:
-        """The share of each triangle that is covered by agents, felt a little beyond them."""
+        """Return the share of each triangle that agents cover, smoothed slightly beyond them."""
         g = self.grounds
         assert g is not None
         room = self._spread(np.repeat(g.areas / 3, 3))
@@ -111,7 +112,7 @@ class Solved(Flow):
         self.solve()
 
     def covered(self, world: World) -> NDArray[np.int64]:
-        """Ground that agents of all species cover, counted at the lattice's point next to each."""
+        """Return the ground area that agents of all species cover, summed at the lattice point nearest to each agent."""
         g, meshes = self.grounds, world.ground.meshes
         assert g is not None and meshes is not None
         found = np.zeros(len(g.land.points), np.int64)

@@ -1,6 +1,6 @@
 """State machines as pictures. Program → charts → SVG, PNG, Mermaid or DOT; a layout is made where a picture needs one.
 
-`charts(program)`, `lay_out(charts)` and the values of `model` are for whoever draws in another way, or draws live."""
+`charts(program)`, `lay_out(charts)` and the values of `model` serve callers that draw in another way, or draw live."""
 
 from __future__ import annotations
 
@@ -43,8 +43,7 @@ def _dot(charts: Sequence[Chart]) -> Written:
     return dot(charts).encode(), Report()
 
 
-# A format's name with the endings of its files, the usual one first, and what writes it. The first is written unless another is
-# asked for.
+# A format's name with the endings of its files, the usual one first, and the function that writes it. The first is the default.
 FORMATS: Mapping[str, tuple[tuple[str, ...], Callable[[Sequence[Chart]], Written]]] = {
     "svg": ((".svg",), _svg),
     "png": ((".png",), _png),
@@ -54,5 +53,5 @@ FORMATS: Mapping[str, tuple[tuple[str, ...], Callable[[Sequence[Chart]], Written
 
 
 def write(charts: Sequence[Chart], format: str) -> Written:
-    """The bytes of a file in one of `FORMATS`; None with a complaint where what is needed for it is not installed."""
+    """Return the bytes of a file in one of `FORMATS`; None with a finding if a required package is not installed."""
     return FORMATS[format][1](charts)

@@ -1,6 +1,6 @@
-"""Program → charts: one for each machine, with what an author would draw on paper.
+"""Program → charts: one for each machine, as an author would draw it on paper.
 
-A change `from any` is one arrow out of one box, not one out of every state; `previous` is a box beside the state that says it."""
+A change `from any` is one arrow from one box, not one from every state; `previous` is a box beside the state that uses it."""
 
 from __future__ import annotations
 
@@ -43,8 +43,8 @@ def _anywhere(change: Transition) -> bool:
 
 
 def _from_any(machine: Machine) -> list[tuple[Transition, tuple[str, ...]]]:
-    """Each change `from any` once, with the names of the states that it leaves out. Its own target is none of them: that it never
-    leads into the state one is in goes without saying."""
+    """Return each change `from any` once, with the names of the states it excludes. Its target is not listed as excluded: a
+    change never leads into the current state."""
     found: dict[str, Transition] = {}
     where: dict[str, set[int]] = {}
     for state in machine.states:
@@ -80,7 +80,7 @@ class _Sketch:
         return key
 
     def add(self, source: str, change: Transition, name: str, number: str) -> None:
-        """A change out of a box; `number` says when it is looked at, where there are several."""
+        """Add a change from a box; `number` is its order of evaluation, if there are several."""
         words, details = number + _words(change), _details(change.span)
         if change.choices:
             target = self._extra("choice", change.key, "", details)
@@ -116,7 +116,7 @@ def _opening(change: Transition) -> str:
 
 
 def _words(change: Transition) -> str:
-    """A change's condition as it was written: what has to be so, for how long, and what it takes."""
+    """Return a change's condition as in the source: condition, required duration, and the claim that it takes."""
     parts = [
         _opening(change),
         _text(change.condition.span) if change.condition is not None else "",
@@ -133,7 +133,7 @@ def _text(span: Span) -> str:
 
 
 def _place(span: Span) -> str:
-    """File and line. The file by its name alone, so that the same text gives the same picture wherever it lies."""
+    """Return file and line. The file is only its name, so that equal text gives an equal picture in any folder."""
     return f"{PurePath(span.source.path).name}:{span.source.line_column(span.start)[0]}"
 
 

@@ -1,4 +1,4 @@
-"""Charts as DOT, the text that Graphviz and many other programs read. Needs no layout: whoever reads it makes one."""
+"""Charts as DOT, the text that Graphviz and many other programs read. It needs no layout: the program that reads it makes one."""
 
 from __future__ import annotations
 
@@ -47,5 +47,5 @@ def _arrow(arrow: Arrow, colour: RGB) -> str:
 
 
 def _text(text: str) -> str:
-    """In quotes; Graphviz gives backslashes, and nothing else in quotes, a meaning of their own."""
+    """Return the text in quotes; inside them, Graphviz gives only backslashes a special meaning."""
     return '"' + text.replace("\\", "\\\\").replace('"', '\\"').replace("\n", "\\n") + '"'

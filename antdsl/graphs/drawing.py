@@ -40,7 +40,7 @@ class Rectangle:
 
 @dataclass(frozen=True, slots=True)
 class Line:
-    """Through points, with round corners where they were rounded; `closed` and filled it is an arrow's head."""
+    """A line through points, with corners already rounded; `closed` and filled it is an arrow's head."""
 
     points: tuple[Point, ...]
     colour: RGB
@@ -51,7 +51,7 @@ class Line:
 
 @dataclass(frozen=True, slots=True)
 class Words:
-    """One line, its middle at `centre`; `width` px wide whatever the letters."""
+    """One line of words with its middle at `centre`; always `width` px wide."""
 
     text: str
     centre: Point
@@ -73,7 +73,7 @@ class Drawing:
 
 
 def draw(charts: Sequence[PlacedChart]) -> Drawing:
-    """Charts side by side, each in a frame under its title."""
+    """Draw charts in rows, each in a frame under its title."""
     shapes: list[Shape] = []
     right = down = high = broadest = 0.0
     for chart in charts:
@@ -101,7 +101,7 @@ def _chart(chart: PlacedChart) -> Iterator[Shape]:
 
 
 def line_colours(chart: Chart) -> tuple[RGB, ...]:
-    """A colour for each arrow: that of the state it comes from, dark enough to be seen; interrupts have one of their own."""
+    """Return a colour for each arrow: that of its source state, dark enough to be visible; interrupts have a separate colour."""
     colours = {box.key: dark(box.colour) for box in chart.boxes}
     return tuple(INTERRUPT if arrow.interrupt else colours[arrow.source] for arrow in chart.arrows)
 
@@ -112,7 +112,7 @@ def hexadecimal(colour: RGB) -> str:
 
 
 def _line(arrow: PlacedArrow, colour: RGB) -> Iterator[Shape]:
-    """A white rim below each line lets it pass over another like a bridge."""
+    """Yield the shapes of a line, with a white rim below so that it crosses other lines like a bridge."""
     thick = THICK if arrow.arrow.interrupt else THIN
     head, end = _head(arrow.points[-2], arrow.points[-1], HEAD + thick)
     way = _rounded((*arrow.points[:-1], end))
@@ -122,7 +122,7 @@ def _line(arrow: PlacedArrow, colour: RGB) -> Iterator[Shape]:
 
 
 def _head(before: Point, tip: Point, long: float) -> tuple[tuple[Point, ...], Point]:
-    """The three corners of a head, and where the line meets it."""
+    """Return the three corners of an arrow's head, and the point where the line meets it."""
     far = hypot(tip[0] - before[0], tip[1] - before[1]) or 1.0
     x, y = (tip[0] - before[0]) / far, (tip[1] - before[1]) / far
     back = (tip[0] - x * long, tip[1] - y * long)
@@ -131,7 +131,7 @@ def _head(before: Point, tip: Point, long: float) -> tuple[tuple[Point, ...], Po
 
 
 def _rounded(points: Sequence[Point]) -> tuple[Point, ...]:
-    """The same way with round corners, six points each."""
+    """Return the same path with round corners, six points each."""
     made = [points[0]]
     for before, corner, after in zip(points, points[1:], points[2:], strict=False):
         into, out = _toward(corner, before), _toward(corner, after)
@@ -192,7 +192,8 @@ def _light(colour: RGB) -> float:
 
 
 def dark(colour: RGB, most: float = 0.22) -> RGB:
-    """The colour, darker as far as a thin line of it on white needs to be seen: at most so light. For words, 7 : 1 is 0.1."""
+    """Return the colour, darkened if necessary so that a thin line of it on white is visible: luminance at most `most`. For
+    words, a contrast of 7 : 1 is 0.1."""
     while _light(colour) > most:
         colour = (colour[0] * 0.92, colour[1] * 0.92, colour[2] * 0.92)
     return colour

@@ -57,7 +57,7 @@ _WIDE = 4  # from here on they are made only where words would stand on words or
 
 
 def lay_out(charts: Sequence[Chart]) -> tuple[tuple[PlacedChart, ...], Report]:
-    """Places for each chart by itself. Complains when the library is not installed."""
+    """Return the placed charts, each laid out alone, and a report. It has an error when the library is not installed."""
     report = Report()
     try:
         import graphlay  # noqa: F401
@@ -73,7 +73,8 @@ def lay_out(charts: Sequence[Chart]) -> tuple[tuple[PlacedChart, ...], Report]:
 
 
 def _placed(chart: Chart) -> PlacedChart:
-    """The narrowest in which no words hide a line; else, of those not too wide, the one in which they hide the fewest."""
+    """Return the narrowest layout in which no words hide a line; else, of those not too wide, the one with the fewest hidden
+    lines."""
     best: tuple[int, int, int] | None = None
     kept: PlacedChart | None = None
     for number, spacing in enumerate(_SPACINGS):
@@ -133,7 +134,7 @@ def _extent(lines: tuple[str, ...]) -> tuple[float, float]:
 
 
 def _from_zero(chart: Chart, boxes: list[tuple[Box, Placed]], arrows: list[PlacedArrow]) -> PlacedChart:
-    """Moved so that all of it, with a rim, begins at (0, 0)."""
+    """Return the chart moved so that all of it, with a margin, begins at (0, 0)."""
     places = [place for _, place in boxes] + [arrow.words for arrow in arrows if arrow.words is not None]
     xs = [x for a in arrows for x, _ in a.points] + [p.left for p in places] + [p.left + p.width for p in places]
     ys = [y for a in arrows for _, y in a.points] + [p.top for p in places] + [p.top + p.height for p in places]
@@ -143,8 +144,8 @@ def _from_zero(chart: Chart, boxes: list[tuple[Box, Placed]], arrows: list[Place
 
 @dataclass(frozen=True, slots=True)
 class Found:
-    """A place for each arrow's words, None for no words. `touching` is how many could not be kept clear of boxes and other words,
-    `crossed` how many lines and heads are hidden by words."""
+    """A place for each arrow's words, None for no words. `touching`: how many touch boxes or other words. `crossed`: how many
+    lines and heads are hidden by words."""
 
     places: tuple[Placed | None, ...]
     touching: int
@@ -153,7 +154,8 @@ class Found:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Spots:
-    """Where words of one size could stand: centres [n, 2], px; what each costs whatever the others do [n]; lines hidden [n]."""
+    """Candidate positions for words of one size: centres [n, 2], px; the cost of each, independent of other words [n]; lines
+    hidden [n]."""
 
     size: Size
     centres: Array
@@ -166,7 +168,7 @@ class _Spots:
 
 
 def place_words(boxes: Sequence[Placed], ways: Sequence[Way], sizes: Sequence[Size | None]) -> Found:
-    """Places for the words on arrows, by the arrows' ways, upright and level with few slants, and the words' sizes."""
+    """Return positions for the words on arrows, from the arrows' paths (mostly vertical and horizontal) and the words' sizes."""
     spots = {number: _spots(number, boxes, ways, size) for number, size in enumerate(sizes) if size}
     order = sorted(spots, key=lambda n: (int((spots[n].costs < _CROSSING).sum()), n))
     chosen: dict[int, int] = {}
@@ -188,19 +190,19 @@ def place_words(boxes: Sequence[Placed], ways: Sequence[Way], sizes: Sequence[Si
 
 
 def _spots(number: int, boxes: Sequence[Placed], ways: Sequence[Way], size: Size) -> _Spots:
-    """Places along an arrow's way, on the line and beside it."""
+    """Return candidate positions along an arrow's path, on the line and beside it."""
     way = ways[number]
     centres, costs = _along(way, size)
     others = [part for n, other in enumerate(ways) if n != number for part in pairwise(other)]
     corners = np.abs(centres[:, None] - np.array(way)) < np.array(size) / 2 + _CLEAR
     turns = corners.all(axis=2)
-    hidden = _lines(centres, size, others) + turns[:, -1]  # the tip of its own head is hidden like a line of others
+    hidden = _lines(centres, size, others) + turns[:, -1]  # the tip of its arrowhead is hidden like a line of others
     costs = costs + _TURN * turns.sum(axis=1) + _CROSSING * hidden + _BLOCKED * _touched(centres, size, boxes)
     return _Spots(size, centres, costs, hidden)
 
 
 def _along(way: Way, size: Size) -> tuple[Array, Array]:
-    """Centres [n, 2] and what they cost by themselves [n]."""
+    """Return centres [n, 2] and their individual costs [n]."""
     found: list[Point] = []
     costs: list[float] = []
     length = sum(dist(a, b) for a, b in pairwise(way)) or 1.0
@@ -230,7 +232,7 @@ def _touched(centres: Array, size: Size, others: Sequence[Placed]) -> Array:
 
 
 def _lines(centres: Array, size: Size, parts: Sequence[tuple[Point, Point]]) -> Array:
-    """How many straight parts of other lines go through each place, int [n]."""
+    """Return how many straight parts of other lines cross each position, int [n]."""
     if not parts:
         return np.zeros(len(centres), int)
     ends, half = np.array(parts), np.array(size) / 2 + 1

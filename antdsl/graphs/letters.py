@@ -1,4 +1,4 @@
-"""How wide words are, in px. The same on every machine: whoever has other letters fits them into the width said here."""
+"""Widths of words, in px. The same on every machine: a viewer with other letters fits them into the given width."""
 
 from __future__ import annotations
 
@@ -16,14 +16,15 @@ _OTHERS = ("DejaVuSans.ttf", "Arial.ttf", "arial.ttf", "NotoSans-Regular.ttf", "
 
 
 def width(text: str, size: int) -> float:
-    """Width of a line at a letter size in px: measured where Pillow's own letters have the sign, else guessed from its kind."""
+    """Return the width of a line at a font size in px: measured where Pillow's font has the character, else estimated from its
+    kind."""
     known = "".join(sign for sign in text if _built_in_has(sign))
     wide = sum(1.0 if east_asian_width(sign) in "WF" else 0.65 for sign in text if not _built_in_has(sign))
     return round(_built_in(size).getlength(known) + wide * size, 2)
 
 
 def face(text: str, size: int) -> FreeTypeFont:
-    """Letters that have every sign of the text, as far as this machine has any; Pillow's own for plain ones."""
+    """Return a font that has every character of the text, if this machine has one; Pillow's own font for plain text."""
     if all(_built_in_has(sign) for sign in text):
         return _built_in(size)
     return _installed(size) or _built_in(size)

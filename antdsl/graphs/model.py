@@ -1,6 +1,6 @@
-"""What a picture of a state machine is made of: boxes and arrows in a chart, and where a layout put them.
+"""Values of a picture of a state machine: boxes and arrows in a chart, and their positions in a layout.
 
-Charts know no picture format and layouts no library: whoever draws, stills or live, reads these values alone."""
+Charts know no picture format and layouts no library: code that draws, stills or live, reads these values alone."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ Kind = Literal["state", "start", "any", "previous", "choice"]
 
 @dataclass(frozen=True, slots=True)
 class Box:
-    """One box of a chart. `start` is the dot that points at the first state, `any` where changes `from any` begin, `previous`
-    where one goes back to the state before, `choice` the fork of a `choose`. `key` is unique in its chart; `name` is the
-    state's own; `details` is for a pointer that rests on it."""
+    """One box of a chart. `start`: the dot that points at the first state. `any`: the source of changes `from any`. `previous`:
+    the return to the previous state. `choice`: the fork of a `choose`. `key` is unique in its chart; `name` is the state's own;
+    `details` is the tooltip."""
 
     key: str
     kind: Kind
@@ -28,8 +28,8 @@ class Box:
 
 @dataclass(frozen=True, slots=True)
 class Arrow:
-    """The changes from one box to another, all of them interrupts or none. `lines` has one condition each, in the order in which
-    they are looked at."""
+    """The changes from one box to another, either all interrupts or none. `lines` has one condition each, in order of
+    evaluation."""
 
     source: str
     target: str
@@ -49,7 +49,7 @@ class Chart:
 
 @dataclass(frozen=True, slots=True)
 class Placed:
-    """Where something is: its centre and its size, in px."""
+    """The position of something: its centre and its size, in px."""
 
     centre: Point
     width: float
@@ -66,7 +66,7 @@ class Placed:
 
 @dataclass(frozen=True, slots=True)
 class PlacedArrow:
-    """An arrow's way: straight from point to point, the last one where the head's tip is. `lines` are its words, folded."""
+    """An arrow's path: straight from point to point; the last point is the tip. `lines` are its words, wrapped."""
 
     arrow: Arrow
     points: tuple[Point, ...]
@@ -76,7 +76,7 @@ class PlacedArrow:
 
 @dataclass(frozen=True, slots=True)
 class PlacedChart:
-    """A chart with places for all it has, from (0, 0) to (width, height)."""
+    """A chart with positions for all its parts, from (0, 0) to (width, height)."""
 
     chart: Chart
     width: float

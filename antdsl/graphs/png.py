@@ -1,4 +1,4 @@
-"""A drawing as a PNG, two pixels for each px: for places that show no SVG."""
+"""A drawing as a PNG at two pixels per px, for viewers without SVG."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ def _rectangle(brush: ImageDraw, shape: Rectangle, scale: float) -> None:
 
 
 def _dashes(brush: ImageDraw, shape: Rectangle, scale: float, ink: tuple[int, int, int], thick: int) -> None:
-    """A dashed edge of a box with half-round ends: dashes along both sides, the ends whole."""
+    """Draw a dashed edge of a box with half-round ends: dashes along both sides, the ends solid."""
     left, right, top, bottom = shape.left, shape.left + shape.width, shape.top, shape.top + shape.height
     radius = shape.radius
     x = left + radius
@@ -77,7 +77,7 @@ def _line(brush: ImageDraw, line: Line, scale: float) -> None:
 
 
 def _words(image: Image, words: Words, scale: float) -> None:
-    """Made narrower where the letters found are wider than the room that was left for them."""
+    """Draw words, narrowed if the font is wider than the space left for them."""
     from PIL import Image, ImageDraw
 
     letters = face(words.text, max(1, round(words.size * scale)))

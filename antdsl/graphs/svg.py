@@ -1,4 +1,4 @@
-"""A drawing as SVG text: words stay words that can be searched, and a pointer that rests on a line shows where it comes from."""
+"""A drawing as SVG text: words stay searchable, and a line's tooltip names its source."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def _whole(start: str, details: str, name: str) -> str:
 
 
 def _legal(text: str) -> str:
-    """Without signs that XML 1.0 forbids even when they are escaped."""
+    """Return the text without characters that XML 1.0 forbids even when escaped."""
     return "".join(
         sign for sign in text if sign in "\n\t" or " " <= sign <= "\ud7ff" or "\ue000" <= sign <= "\ufffd" or sign > "\uffff"
     )

@@ -1,5 +1,5 @@
-"""Ground of meshes and solids together: who meets a hill steps up onto it, who meets a mesh steps back down; ground inside undug
-solid is closed, and open again where the solid is dug away."""
+"""Ground of meshes and solids together: an agent that meets a solid steps up onto it, and one that meets a mesh steps back down.
+Ground inside undug solid is closed, and open again where the solid is dug away."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _LIFT = 0.02  # of a body: how far above its way an agent looks for a mesh acros
 
 @dataclass(slots=True)
 class _Walk:
-    """Agents on their way: where they stand and face, and what is left of their way (a vector). Of vectors each component is
+    """Agents during a walk: where they stand and face, and the remaining displacement (a vector). Each component of a vector is
     contiguous."""
 
     footing: Footing
@@ -42,7 +42,7 @@ class _Walk:
 
 @dataclass(slots=True)
 class _Entries:
-    """Who of some came into undug solid: their numbers, which solid, after what part of their way, and where."""
+    """Agents that entered undug solid: their numbers, the solid, the part of their path at the entry, and the position."""
 
     who: Rows
     which: NDArray[np.intp]
@@ -71,9 +71,10 @@ class Terrain:
         return Footing.nowhere(n).with_places()
 
     def place(self, points: Floats, up: Floats, on: Iterable[str] | None = None) -> tuple[Footing, NDArray[np.bool_]]:
-        """Footings below points [n,3]: the first that a ray from far above along -`up` meets, of the names in `on` or of all.
+        """Return footings below points [n,3]: the first hit of a ray from far above along -`up`, on the names in `on`, or on all.
 
-        Ground inside undug solid is no place to stand: there it is the solid's surface above, and False in the second array."""
+        No agent can stand on ground inside undug solid: there the footing is on the solid's surface above, with False in the
+        second array."""
         points = np.asarray(points, np.float64).reshape(-1, 3)
         names = self.names if on is None else tuple(on)
         unknown = [name for name in names if name not in self.names]
@@ -106,8 +107,8 @@ class Terrain:
         return footing, found
 
     def nearest(self, points: Floats, on: Iterable[str] | None = None) -> tuple[Footing, Floats]:
-        """Footings at the nearest point of the meshes, or of the solids where those are nearer, and the distance float64[n]; of
-        the names in `on`, or of all."""
+        """Return footings at the nearest point of the meshes or solids, whichever is nearer, and the distance float64[n]; limited
+        to the names in `on`, if given."""
         points = np.asarray(points, np.float64).reshape(-1, 3)
         footing, distance = self.nowhere(len(points)), np.full(len(points), np.inf)
         names = self.names if on is None else tuple(on)
@@ -127,7 +128,7 @@ class Terrain:
         return footing, distance
 
     def position(self, footing: Footing) -> Floats:
-        """Places in the world, float64[n,3]; zero for footings nowhere."""
+        """Return positions in the world, float64[n,3]; zero for footings nowhere."""
         place = np.stack([footing.x, footing.y, footing.z], axis=1)
         rows = self._mesh_rows(footing)
         if rows.size and self.meshes is not None:
@@ -135,7 +136,7 @@ class Terrain:
         return place
 
     def normal(self, footing: Footing) -> Floats:
-        """Unit normals, float64[n,3]: of the faces by how they are wound, out of the solids; zero for footings nowhere."""
+        """Return unit normals, float64[n,3]: of faces by their winding, of solids outwards; zero for footings nowhere."""
         normal = np.zeros((len(footing), 3))
         rows = self._mesh_rows(footing)
         if rows.size and self.meshes is not None:
@@ -147,7 +148,7 @@ class Terrain:
         return normal
 
     def sides(self, footing: Footing, threads: int = 1) -> NDArray[np.int8]:
-        """Which of six ways the normals point most, as `MeshGround.sides`."""
+        """Return the axis direction nearest to each normal, numbered as in `MeshGround.sides`."""
         rows = self._mesh_rows(footing)
         if rows.size == len(footing) and self.meshes is not None:
             return self.meshes.sides(footing.faces(rows), threads)
@@ -207,7 +208,8 @@ class Terrain:
     # ---- parts of moving
 
     def _stretch(self, walk: _Walk, rows: Rows, body: Floats, threads: int, last: bool) -> Rows:
-        """Walk `rows` on what they stand on; those who meet something else stand on that, and are returned if way is left."""
+        """Walk `rows` on their current mesh or solid. Those that meet another one stand on it afterwards, and are returned if
+        they have distance left."""
         again = []
         on = walk.footing.mesh[rows]
         mesh = rows[on < self._count]
@@ -231,7 +233,7 @@ class Terrain:
 
     @staticmethod
     def _stay(walk: _Walk, rows: Rows, but: Rows, moved: Move) -> None:
-        """All of `rows` but some have come to the end of their way."""
+        """Store the result for all of `rows` that have finished their walk; the others are `but`."""
         footing, vectors = moved.footing, [moved.position, moved.up, moved.heading, moved.direction]
         travelled, blocked = moved.travelled, moved.blocked
         if but.size:
@@ -250,7 +252,8 @@ class Terrain:
         walk.left[rows] = 0.0
 
     def _entering(self, end: Floats, start: Callable[[Rows], Floats], but: int = -1) -> _Entries:
-        """Whose way from `start` (of some of them) to `end` leads into undug solid, of any but one."""
+        """Return the agents that enter undug solid, of any volume but number `but`, on the way from `start` (of some of them) to
+        `end`."""
         part, which = np.full(len(end), np.inf), np.zeros(len(end), np.intp)
         places = np.zeros((len(end), 3))
         for k, volume in enumerate(self._volumes):
@@ -270,14 +273,14 @@ class Terrain:
         return _Entries(who, which[who], part[who], places[who])
 
     def _step_up(self, walk: _Walk, rows: Rows, found: _Entries, moved: Move, body: Floats, threads: int, last: bool) -> Rows:
-        """Those of `rows` who entered a solid step onto it; gives those with way left."""
+        """Step those of `rows` that entered a solid onto it; return those with distance left."""
         again = [np.empty(0, np.intp)]
         for k, volume in enumerate(self._volumes):
             mine = np.flatnonzero(found.which == k)
             if not mine.size:
                 continue
             of, part = found.who[mine], found.part[mine]
-            # From a little above: who stood at the very seam might find itself below a mesh with its next step.
+            # From a little above: an agent exactly at the seam might be below a mesh after its next step.
             above = found.place[mine] + moved.up[of] * (_LIFT * body[rows[of]])[:, None]
             landed = volume.project(above, normals(volume, above), 2 * volume.voxel)
             ok = landed.found
@@ -332,7 +335,8 @@ class Terrain:
         return np.concatenate([again, down[rest > 0]])
 
     def _fall(self, walk: _Walk, rows: Rows) -> None:
-        """Nothing of the solid is left near by: down, as the scene has it, onto what lies below; else to what is nearest."""
+        """Move agents with no solid left nearby down, along the scene's up axis, onto the ground below; else to the nearest
+        ground."""
         if not rows.size:
             return
         start = self.position(walk.footing.take(rows))
@@ -359,7 +363,8 @@ class Terrain:
     def _across(
         self, start: Floats, end: Floats, up: Floats, up_after: Floats, body: Floats, threads: int
     ) -> tuple[NDArray[np.bool_], Floats, Footing]:
-        """Whose way a mesh lies across, seen from a little above it; after what part, and the footing there."""
+        """Return which agents have a mesh across their way, seen from a little above it. Return also the part of the way before
+        it, and the footing there."""
         n = len(start)
         if self.meshes is None:
             return np.zeros(n, np.bool_), np.ones(n), Footing.nowhere(n)

@@ -1,6 +1,6 @@
-"""A ground of which some meshes move between steps: what hangs together stays, where it lies is said anew for each frame.
+"""A ground of which some meshes move between steps: the topology stays, positions are set for each frame.
 
-Only what moved is worked out again, and its rays have scenes of their own."""
+Only moved parts are computed again, and their rays have separate scenes."""
 
 from __future__ import annotations
 
@@ -22,7 +22,8 @@ Axes = tuple[Floats, Floats, Floats]
 
 
 class MovingGround(MeshGround):
-    """As `MeshGround`; the meshes named `moving` may be posed. `rest` is where all lay at first: cells of fields are in it."""
+    """As `MeshGround`; the meshes named `moving` may be posed. `rest` holds the initial positions of all; field cells refer to
+    it."""
 
     def __init__(self, surfaces: Mapping[str, Mesh], moving: Iterable[str], by_rays: bool = False) -> None:
         self._moves = np.isin(list(surfaces), list(moving))
@@ -49,7 +50,7 @@ class MovingGround(MeshGround):
         return made
 
     def pose(self, places: Mapping[str, Floats]) -> None:
-        """Put the vertices (n, 3) of moving meshes where they are now."""
+        """Set the vertices (n, 3) of moving meshes to their current positions."""
         for name, vertices in places.items():
             rows = self._rows[name]
             self._vertices[self._corners[name]] = vertices
@@ -65,12 +66,12 @@ class MovingGround(MeshGround):
         self._clearances.forget()  # type: ignore[attr-defined]
 
     def carries(self, mesh: NDArray[np.int32]) -> NDArray[np.intp]:
-        """Which of the numbers of meshes that agents stand on are of one that moves; other numbers are of no mesh."""
+        """Return the rows of agents that stand on a moving mesh; mesh numbers out of range do not count."""
         known = (mesh >= 0) & (mesh < len(self._moves))
         return np.flatnonzero(known & self._moves.take(np.where(known, mesh, 0)))
 
     def axes(self, footing: Footing) -> Axes:
-        """The frames (3, n) of the faces where agents stand: along the first edge, across it, and up by the winding."""
+        """Return the frames (3, n) of the faces that agents stand on: along the first edge, across it, and up by the winding."""
         face, _ = self._faces_of(footing)
         t = self._table
         return t.axis1.take(face, axis=1), t.axis2.take(face, axis=1), t.normal.take(face, axis=1)
@@ -82,21 +83,21 @@ class MovingGround(MeshGround):
         return t.axis1.take(face, axis=1), t.axis2.take(face, axis=1), t.normal.take(face, axis=1)
 
     def rest_position(self, footing: Footing) -> Floats:
-        """Places (n, 3) where the points that agents stand on lay at rest."""
+        """Return the rest positions (n, 3) of the points that agents stand on."""
         face, known = self._faces_of(footing)
         t = self._rest
         place = t.corner.take(face, axis=1) + footing.b1 * t.edge1.take(face, axis=1) + footing.b2 * t.edge2.take(face, axis=1)
         return np.ascontiguousarray(np.where(known, place, 0.0).T)
 
     def boxes(self) -> list[tuple[NDArray[np.bool_], Floats, Floats]]:
-        """The meshes that move, where they are now: which faces are theirs, lowest and highest corner."""
+        """Return the moving meshes at their current position: mask of their faces, lowest and highest corner."""
         return [(self._mesh == k, *self._ends[name]) for k, name in enumerate(self.names) if self._moves[k]]
 
     def _together(self) -> NDArray[np.int32]:
         return np.where(self._moves.take(self._mesh), self._mesh + 1, 0).astype(np.int32)
 
     def _scene(self, on: Iterable[str] | None) -> tuple[RayScene, Index]:
-        """Rays against some surfaces: those that stand still and those that move, each a scene of its own."""
+        """Return rays against some surfaces, in separate scenes for static and moving ones, and the faces in these scenes."""
         chosen = tuple(range(len(self.names))) if on is None else tuple(sorted(self.names.index(n) for n in self._known(on)))
         if chosen not in self._scenes:
             still = tuple(k for k in chosen if not self._moves[k])
@@ -125,7 +126,7 @@ def _boxes(vertices: Floats, faces: NDArray[np.int32]) -> tuple[Floats, Floats]:
 
 
 class _Both:
-    """Two ray scenes of one mesh each as one; the faces of the second are numbered after those of the first."""
+    """Combines two ray scenes of one mesh each; the faces of the second are numbered after those of the first."""
 
     def __init__(self, one: RayScene, two: RayScene, faces: int) -> None:
         self._one, self._two, self._faces = one, two, faces
@@ -163,8 +164,8 @@ class _Both:
 
 
 class _Clearances:
-    """As `Clearances`. Those between meshes that stand still are measured once; who is near a box around a mesh that moves, and
-    who stands on one near anything, always looks out."""
+    """As `Clearances`. Distances between static meshes are measured once. Agents near the box of a moving mesh, and agents on a
+    moving mesh near anything, always search."""
 
     def __init__(self, ground: MovingGround) -> None:
         self._ground = ground
@@ -184,7 +185,7 @@ class _Clearances:
         self._parts = None
 
     def within(self, reach: float) -> Parts:
-        """Clearances that tell distances up to `reach` mm apart, where the meshes are now."""
+        """Return clearances that resolve distances up to `reach` mm, at the current positions of the meshes."""
         if self._parts is None or self._parts.reach < reach:
             self._parts = self._measured(1.5 * reach)
         return self._parts
@@ -199,7 +200,7 @@ class _Clearances:
         return Parts(reach, first, count, np.append(still.least, 0.0))
 
     def _touched(self, reach: float) -> Index:
-        """Faces that may have a mesh within `reach` where one of the two moves."""
+        """Return the faces that may have a mesh within `reach`, where one of the two moves."""
         ground = self._ground
         wide = reach + 2 * self.noise
         for k, rows in enumerate(ground._rows.values()):

@@ -1,4 +1,4 @@
-"""Ground for a scene without surfaces: the plane through the origin, across the scene's up. Endless and flat."""
+"""Ground for a scene without surfaces: the infinite plane through the origin, perpendicular to the scene's up."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from antdsl.numerics.kernel_vectors import Pose, Vec3, dot, minus, plus, times
 
 
 class Plane:
-    """The plane through the origin; `up` is its unit normal. All are found, and nobody is lost or blocked."""
+    """The plane through the origin; `up` is its unit normal. All footings are found, and no agent is lost or blocked."""
 
     names: tuple[str, ...] = ()
 
@@ -45,7 +45,7 @@ class Plane:
         return Footing.on_plane(np.zeros((n, 3)))
 
     def place(self, points: Floats, up: Floats, on: Iterable[str] | None = None) -> tuple[Footing, NDArray[np.bool_]]:
-        """Drop points [n,3] along the plane's own up; every point is found."""
+        """Project points [n,3] onto the plane along the plane's own up; every point succeeds."""
         return Footing.on_plane(self._flat(np.asarray(points, np.float64).reshape(-1, 3))), np.ones(len(points), np.bool_)
 
     def nearest(self, points: Floats, on: Iterable[str] | None = None) -> tuple[Footing, Floats]:
@@ -62,7 +62,7 @@ class Plane:
         return np.broadcast_to(self._up, footing.point.shape)
 
     def sides(self, footing: Footing, threads: int = 1) -> NDArray[np.int8]:
-        """Which of six ways up points most, int8[n], as `Ground.sides`."""
+        """Return the axis direction nearest to up, int8[n], as `Ground.sides`."""
         return facing(self.normal(footing))
 
     def upright(self, footing: Footing, up: Floats) -> Floats:
@@ -89,7 +89,7 @@ class Plane:
 
 @inlined
 def straight(up: Vec3, point: Vec3, way: Vec3, ahead: Vec3) -> tuple[Pose, F64]:
-    """Straight on, for one, and how far it has gone."""
+    """Move one agent straight on; return its pose and the distance travelled."""
     step, look = minus(way, times(up, dot(way, up))), minus(ahead, times(up, dot(ahead, up)))
     far = np.sqrt(dot(step, step))
     direction = look
@@ -109,7 +109,7 @@ def straight_on(
     direction: Array2[F64],
     travelled: Array1[F64],
 ) -> None:
-    """From points by ways across `up`, with headings: all (n, 3), as are the results, the last four."""
+    """Move points by displacements perpendicular to `up`, with headings: all (n, 3). The last four arrays are the results."""
     normal = (up[0], up[1], up[2])
     for i in range(travelled.size):
         step, look = (way[i, 0], way[i, 1], way[i, 2]), (ahead[i, 0], ahead[i, 1], ahead[i, 2])

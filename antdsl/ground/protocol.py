@@ -1,9 +1,8 @@
-"""The ground that agents stand and walk on, as the rest of the run time sees it: `Ground` is what a scene without surfaces
-(`Plane`), one of meshes (`MeshGround`, `MovingGround`) and one of meshes and solids (`Terrain`) have in common.
+"""The ground that agents stand and walk on, as the run time uses it. `Ground` is the common interface of a scene without surfaces
+(`Plane`), of meshes (`MeshGround`, `MovingGround`) and of meshes and solids (`Terrain`).
 
-A ground gives a `Footing` for places and takes it back for everything else: it alone knows what the columns of one mean. A step
-goes in as a displacement and comes out as a `Move`. Lengths are mm; vectors of n agents are float64[n,3].
-"""
+A ground returns a `Footing` for positions, and every other method takes one: only the ground interprets its columns. A step takes
+a displacement and returns a `Move`. Lengths are mm; vectors of n agents are float64[n,3]."""
 
 from __future__ import annotations
 
@@ -29,21 +28,20 @@ _ON_MESHES: dict[str, Column | float] = dict.fromkeys(_PLACE, 0.0)  # of who sta
 
 
 def rows_of(array: NDArray[Any], rows: Rows) -> NDArray[Any]:
-    """Some rows of an array; `take` is several times faster than an index."""
+    """Return some rows of an array; `take` is several times faster than indexing."""
     return array[rows] if rows.dtype == bool else array.take(rows, axis=0)
 
 
 class Footing:
-    """Where agents stand, one row each: a table of named columns, of which each kind of ground has its own.
+    """Where agents stand, one row each: a table of named columns, which depend on the kind of ground.
 
     meshes             `mesh` and `face` (int32[n], -1 = nowhere), the weights `b1`, `b2` of the face's second and third corner.
-                       Who is stepping over a border is `over` mm off it along the face's normal; 0 for others.
+                       An agent that steps over a border is `over` mm off the face along its normal; 0 for others.
     meshes and solids  the same, and `x`, `y`, `z`. On a solid `mesh` counts solids after the meshes, `face` is 0 and (x, y, z) is
-                       the place on its surface (mm); 0 on meshes.
+                       the position on its surface (mm); 0 on meshes.
     plane              `point` float64[n,3] on it, and `mesh`, 0 as if the plane were the only surface.
 
-    Columns have these names in checkpoints and caches, and their order is that of state hashes.
-    """
+    Columns have these names in checkpoints and caches, and their order is that of state hashes."""
 
     __slots__ = ("columns",)
 
@@ -54,13 +52,13 @@ class Footing:
 
     @staticmethod
     def on_faces(mesh: Numbers, face: Numbers, b1: Floats, b2: Floats, over: Floats | None = None) -> Footing:
-        """On faces of meshes; nobody over a border where `over` is not given."""
+        """Return footings on faces of meshes; none is over a border where `over` is not given."""
         over = np.zeros(len(face)) if over is None else over
         return Footing({"mesh": mesh, "face": face, "b1": b1, "b2": b2, "over": over})
 
     @staticmethod
     def on_solids(mesh: int | Numbers, place: Floats) -> Footing:
-        """At places [n,3] on the surfaces of the solids that count as `mesh`, one or [n]."""
+        """Return footings at positions [n,3] on the surfaces of solids with number `mesh`, one or [n]."""
         n = len(place)
         on = Footing.on_faces(np.full(n, mesh, np.int32), np.zeros(n, np.int32), *np.zeros((2, n)))
         return on._with(np.ascontiguousarray(place.T))
@@ -76,7 +74,7 @@ class Footing:
         return Footing.on_faces(np.full(n, -1, np.int32), np.full(n, -1, np.int32), np.zeros(n), np.zeros(n))
 
     def with_places(self) -> Footing:
-        """A copy of footings on meshes for a ground that has solids too."""
+        """Return a copy of footings on meshes for a ground that also has solids."""
         return self.copy()._with(np.zeros((3, len(self))))
 
     def _with(self, place: Floats) -> Footing:
@@ -109,7 +107,7 @@ class Footing:
 
     @property
     def over(self) -> Floats:
-        """How far off its face along the normal each agent is, float64[n]."""
+        """Distance of each agent off its face along the normal, float64[n]."""
         return self.columns["over"]
 
     @property
@@ -141,17 +139,17 @@ class Footing:
         return Footing({name: rows_of(column, rows) for name, column in self.columns.items()})
 
     def faces(self, rows: Rows) -> Footing:
-        """As `take`, of rows that stand on meshes, for a ground of meshes alone."""
+        """As `take`, for rows that stand on meshes, for a ground of meshes alone."""
         return Footing({name: rows_of(self.columns[name], rows) for name in _FACES})
 
     def put(self, rows: Rows, other: Footing) -> None:
-        """Put other footings into rows: of the same kind of ground, or of its meshes alone."""
+        """Write other footings into rows: of the same kind of ground, or of its meshes alone."""
         columns = _ON_MESHES | other.columns
         for name, column in self.columns.items():
             column[rows] = columns[name]
 
     def copy(self) -> Footing:
-        """The same in arrays of its own."""
+        """Return the same in separate arrays."""
         return Footing({name: column.copy() for name, column in self.columns.items()})
 
     @staticmethod
@@ -163,19 +161,18 @@ class Footing:
 
     @staticmethod
     def chosen(which: Flags, one: Footing, other: Footing) -> Footing:
-        """On meshes: the footings of `one` where `which` says so, else those of `other`."""
+        """Return, on meshes, the footings of `one` where `which` is true, else those of `other`."""
         return Footing({name: np.where(which, column, other.columns[name]) for name, column in one.columns.items()})
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Move:
-    """Where a step led. Vectors are float64[n,3], lengths mm.
+    """The result of a step. Vectors are float64[n,3], lengths mm.
 
-    Of vectors each component is contiguous. `up` is the smooth normal on the agent's side, `heading` a unit vector at right
-    angles to it. `direction` is the unit direction of travel at the end, in the face: a velocity is carried along by taking
-    its length times this. `travelled` is the way walked. `blocked` says that an open border ended the way, or that it could not
-    be walked to its end, `lost` that there was no footing to walk from, or no surface near to stand on.
-    """
+    Each component of a vector is contiguous. `up` is the smooth normal on the agent's side, `heading` a unit vector perpendicular
+    to it. `direction` is the unit direction of travel at the end, in the face; multiply it by a speed to transport a velocity.
+    `travelled` is the distance walked. `blocked`: an open border ended the path, or it could not be walked to its end. `lost`:
+    there was no footing to walk from, or no surface near enough to stand on."""
 
     footing: Footing
     position: Floats
@@ -196,7 +193,7 @@ class Move:
         return Move(self.footing.take(rows), position, up, heading, direction, travelled, blocked, lost)
 
     def put(self, rows: Rows, other: Move) -> None:
-        """Put other results of the same ground into rows. What a ground has once for everybody (a plane's `up`) stays."""
+        """Put other results of the same ground into rows. Values that a ground has once for all agents (a plane's `up`) stay."""
         self.footing.put(rows, other.footing)
         for column, values in zip(self.columns(), other.columns(), strict=True):
             if column.flags.writeable:
@@ -204,12 +201,12 @@ class Move:
 
 
 class Ground(Protocol):
-    """What agents stand and walk on. Implemented by `plane.Plane`, `mesh.surface.MeshGround` (some of whose meshes move in
-    `moving.MovingGround`) and `combined.Terrain`."""
+    """The interface of what agents stand and walk on. Implemented by `plane.Plane`, `mesh.surface.MeshGround` (with meshes that
+    move: `moving.MovingGround`) and `combined.Terrain`."""
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Of surfaces, then of solids, in the order in which footings count them."""
+        """The names of surfaces, then of solids, in the order of footings' numbers."""
 
     @property
     def meshes(self) -> Meshes | None:
@@ -219,21 +216,22 @@ class Ground(Protocol):
         """Footings of n agents that stand on nothing yet."""
 
     def place(self, points: Floats, up: Floats, on: Iterable[str] | None = None) -> tuple[Footing, Flags]:
-        """Footings below points [n,3]: the first that a ray from far above along -`up` ([3] or [n,3]) meets of the names in `on`,
-        all when None. Where it meets nothing, the nearest point, and False in the second array, bool[n]. KeyError for an unknown
-        name."""
+        """Return footings below points [n,3]: the first hit of a ray from far above along -`up` ([3] or [n,3]), on the names in
+        `on`, all if None. If it hits nothing, the footing is the nearest point, with False in the second array, bool[n]. Raises
+        KeyError for an unknown name."""
 
     def nearest(self, points: Floats, on: Iterable[str] | None = None) -> tuple[Footing, Floats]:
-        """Footings at the nearest point of what `on` names, all when None, to points [n,3], and the distance float64[n]."""
+        """Return footings at the nearest point of the surfaces and solids in `on`, all if None, to points [n,3], and the distance
+        float64[n]."""
 
     def position(self, footing: Footing) -> Floats:
-        """Places in the world, float64[n,3]; zero for footings nowhere."""
+        """Return positions in the world, float64[n,3]; zero for footings nowhere."""
 
     def normal(self, footing: Footing) -> Floats:
-        """Unit normals, float64[n,3], of faces by how they are wound, out of solids; zero for footings nowhere."""
+        """Return unit normals, float64[n,3], of faces by their winding, of solids outwards; zero for footings nowhere."""
 
     def sides(self, footing: Footing, threads: int = 1) -> NDArray[np.int8]:
-        """Which of six ways the normals point most, int8[n]: 0 +x, 1 -x, 2 +y, 3 -y, 4 +z, 5 -z; 0 for nowhere."""
+        """Return the axis direction nearest to each normal, int8[n]: 0 +x, 1 -x, 2 +y, 3 -y, 4 +z, 5 -z; 0 for nowhere."""
 
     def upright(self, footing: Footing, up: Floats) -> Floats:
         """Smooth unit normals float64[n,3] on the side that `up` ([3] or [n,3]) points to; `up` itself for footings nowhere."""
@@ -248,13 +246,14 @@ class Ground(Protocol):
         threads: int = 1,
         straight: bool = False,
     ) -> Move:
-        """Walk every agent along the ground by a displacement [n,3], on the side its `up` [n,3] points to. `heading` [n,3] is
-        turned as the ground turns; `body` (mm, one or [n]) is how long each agent is. With `straight` a way ends at an open
-        border, which else is gone along."""
+        """Move every agent along the ground by a displacement [n,3], on the side that its `up` [n,3] points to.
+
+        `heading` [n,3] turns with the ground. `body` (mm, one or [n]) is the length of each agent. With `straight`, a path ends
+        at an open border; otherwise the agent continues along the border."""
 
 
 class Meshes(Ground, Protocol):
-    """The part of a ground that is made of meshes: what rays, flows, maps and fields ask of faces."""
+    """The part of a ground that consists of meshes: the queries about faces for rays, flows, maps and fields."""
 
     @property
     def low(self) -> Floats:
@@ -266,25 +265,29 @@ class Meshes(Ground, Protocol):
 
     @property
     def extent(self) -> float:
-        """The longest side of the box, mm; of meshes that move, the longest so far."""
+        """Longest side of the box, mm. For moving meshes: the longest so far."""
 
     @property
     def triangles(self) -> tuple[Floats, Numbers, Numbers, Topology]:
-        """All surfaces as one: vertices [n,3], faces [m,3], the surface that each is of by number, and their tables."""
+        """Return all surfaces as one mesh: vertices [n,3], faces [m,3], the surface number of each face, and the topology
+        tables."""
 
     def on_faces(self, footing: Footing) -> tuple[Index, Flags]:
-        """The face of each footing, counted over all surfaces (0 for none), and whether it is on one."""
+        """Return the face number of each footing, counted over all surfaces (0 for none), and whether the footing is on a
+        face."""
 
     def laid_out(self, face: Index, c: Floats, s: Floats) -> Floats:
-        """Vectors (3, n) in the world, from their parts along the two axes of their faces."""
+        """Return world vectors (3, n) from their components along the two axes of their faces."""
 
     def met(self, origin: Floats, way: Floats, threads: int = 1) -> tuple[Flags, Floats, Footing]:
-        """Whose straight way from `origin` [n,3] by `way` [n,3] meets a surface, after what part of it, and the footing there."""
+        """Return which straight ways from `origin` [n,3] by `way` [n,3] hit a surface, the part of the way before it, and the
+        footing there."""
 
     def faced(self, origin: Floats, way: Floats, threads: int = 1) -> tuple[Index, Floats, Floats]:
-        """Whose straight way from `origin` [n,3] by `way` [n,3] meets a surface: their numbers, ascending, after what part of it,
-        and the face's unit normal (3, k), by how it is wound."""
+        """Return the numbers, ascending, of straight ways from `origin` [n,3] by `way` [n,3] that hit a surface. Return also the
+        part of the way before it, and the face's unit normal (3, k), by its winding."""
 
     def rising(self, footing: Footing, place: Floats, reach: Floats, threads: int = 1) -> Index:
-        """The rows, ascending, of agents at places [n,3] for whom a surface may rise within `reach` [n] mm, if that is over 0: at
-        an inner crease, another piece, or a mesh that moves. All for whom one does, and the same whoever else is asked for."""
+        """Return the rows, ascending, of agents at positions [n,3] for which a surface may rise within `reach` [n] mm, if that is
+        over 0. It rises at an inner crease, another piece, or a mesh that moves. No such agent is missing, and the result for an
+        agent does not depend on the others."""

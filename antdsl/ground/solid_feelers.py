@@ -1,8 +1,8 @@
-"""What agents feel of a solid: rays that march through its signed distance, the nearest wall, and how far off it is at least.
+"""Perception of solids by agents: rays that march through the signed distance field, the nearest wall, and a lower bound of its
+distance.
 
-The doors are those of `RayScene`, so that a solid is felt like an obstacle. Sphere tracing: J. C. Hart, The Visual Computer
-12(10), 1996, p. 527.
-"""
+The interface is that of `RayScene`, so a solid is perceived like an obstacle. Sphere tracing: J. C. Hart, The Visual Computer
+12(10), 1996, p. 527."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from antdsl.numerics import parallel
 
 Floats = NDArray[np.float64]
 
-_MARCHES = 96  # steps of one ray besides those through open air, after which it counts as free
+_MARCHES = 96  # steps of one ray, in addition to those through open air, after which it counts as free
 _LEAST = 0.5  # voxels: a ray goes on at least so far
 _THROUGH = 0.02  # voxels under the surface that a ray along it may dip without having hit it
 _HALVINGS = 8
@@ -28,14 +28,14 @@ _BLOCK = 4  # edge, in nodes, of the blocks of which one place each says where t
 
 
 class SolidFeelers:
-    """Feelers, walls near by and clearances of one solid; each call sees the solid as it is then."""
+    """Feelers, nearby walls and clearances of one solid. Each call uses the current state of the solid."""
 
     def __init__(self, volume: Volume) -> None:
         self.volume = volume
         self._far: tuple[float, Any, Floats] | None = None  # of the volume dug so far: a tree of places on the surface
 
     def clearance(self, x: NDArray[Any], y: NDArray[Any], z: NDArray[Any], threads: int = 1) -> NDArray[np.float32]:
-        """A distance (mm, float32[n]) within which places have no surface; 0 when near."""
+        """Return a distance (mm, float32[n]) within which there is no surface around each point; 0 when one is near."""
         place = np.stack([x, y, z], axis=1).astype(np.float64)
         found = parallel.in_parts(lambda begin, end: self._clearance(place[begin:end]), len(place), threads)
         return found[0] if len(found) == 1 else np.concatenate(found)
@@ -60,9 +60,11 @@ class SolidFeelers:
         reach: NDArray[Any] | float,
         threads: int = 1,
     ) -> FeelerHits:
-        """What lies within `reach` (mm, one or float[n]) of places along unit directions, all 1-D arrays of one length.
+        """Return the first hit within `reach` (mm, one or float[n]) of points along unit directions, all 1-D arrays of one
+        length.
 
-        A ray hits where it goes in. One that starts inside, or along the surface that its agent stands on, starts free."""
+        A ray hits where it enters the solid. A ray that starts inside, or along the surface under its agent, counts as free at
+        its start."""
         origin, way = (np.stack(v, axis=1).astype(np.float64) for v in ((x, y, z), (dx, dy, dz)))
         n = len(origin)
         far = np.broadcast_to(np.asarray(reach, np.float64), (n,))
@@ -91,13 +93,14 @@ class SolidFeelers:
         return FeelerHits(np.isfinite(t), t.astype(np.float32), *normal)
 
     def felt(self, places: Arrays, asks: Sequence[Ask], threads: int = 1) -> list[tuple[int, NDArray[np.intp]]]:
-        """Everybody asks by `feelers`."""
+        """Return all agents for all queries: each uses `feelers`."""
         return everybody(asks)
 
     def near(
         self, x: NDArray[Any], y: NDArray[Any], z: NDArray[Any], reach: NDArray[Any] | float, threads: int = 1
     ) -> FeelerHits:
-        """The surface within `reach` (mm, one or float[n]) of places, 1-D arrays: distance, 0 inside, and unit way off it."""
+        """Return the nearest surface within `reach` (mm, one or float[n]) of points, 1-D arrays: the distance (0 inside) and the
+        unit direction away from it."""
         place = np.stack([x, y, z], axis=1).astype(np.float64)
         reach = np.broadcast_to(np.asarray(reach, np.float32), (len(place),))
         distance, slope = self.volume.sample_and_gradient(place)
@@ -112,13 +115,14 @@ class SolidFeelers:
         return FeelerHits(hit, t, *np.ascontiguousarray(normal.T))
 
     def _through_box(self, origin: Floats, way: Floats) -> tuple[Floats, Floats]:
-        """Between which lengths each ray is where something solid may be; the second is the lesser one where it never is."""
+        """Return the lengths at which each ray enters and leaves the box that contains the solid. A ray that misses the box has
+        the exit before the entry."""
         with np.errstate(all="ignore"):
             ends = [(side - origin) / way for side in (self.volume.low - self.volume.voxel, self.volume.high + self.volume.voxel)]
         return np.fmax.reduce(np.fmin(*ends), axis=1), np.fmin.reduce(np.fmax(*ends), axis=1)
 
     def _entry(self, origin: Floats, way: Floats, free: Floats, inside: Floats) -> Floats:
-        """Where between two lengths rays go in, to a 256th of the step."""
+        """Return the length, between two lengths, at which each ray enters the solid, exact to 1/256 of the step."""
         for _ in range(_HALVINGS):
             middle = (free + inside) / 2
             solid = self.volume.sample(origin + middle[:, None] * way) < -_THROUGH * self.volume.voxel
@@ -132,7 +136,8 @@ class SolidFeelers:
         return np.ascontiguousarray((slope / np.maximum(size, np.float32(1e-12))[:, None]).T)
 
     def _nearest(self, place: Floats) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """Distance to and unit way off the surface for places beyond the band, true to some voxels."""
+        """Return the distance to the surface and the unit direction away from it for points beyond the band, accurate to a few
+        voxels."""
         from scipy.spatial import cKDTree
 
         removed = self.volume.removed
@@ -147,7 +152,7 @@ class SolidFeelers:
         return distance.astype(np.float32), (away / np.maximum(distance, 1e-12)[:, None]).astype(np.float32)
 
     def _on_surface(self) -> Floats:
-        """Places float64[n,3] on the surface, one for each small block of nodes that it passes."""
+        """Return points float64[n,3] on the surface, one for each small block of nodes that the surface crosses."""
         bricks, parts = self.volume.bricks, SIDE // _BLOCK
         stored = np.flatnonzero(bricks.table >= 2)
         pool = bricks.values[: bricks.used * CUBE].reshape((-1,) + (parts, _BLOCK) * 3)[bricks.table[stored]]

@@ -1,4 +1,5 @@
-"""What walking over ground with solids asks of one solid: where a way leads into it, what lies below, which way is out."""
+"""Queries about one solid for walking on ground with solids: where a path enters it, what lies below, and which direction is
+out."""
 
 from __future__ import annotations
 
@@ -16,8 +17,8 @@ _LOOKS = 5  # after each the part where it does is cut into as many again
 
 
 def entered(volume: Volume, start: Floats, end: Floats) -> Floats:
-    """After what part of their ways from `start` to `end`, which lies in a solid, points first come into it: the last that is
-    still in air, 0 where the start is not."""
+    """Return the share of each path from `start` to `end` after which it first enters the solid: the last sample in air. `end`
+    lies in the solid. The result is 0 where `start` is not in air."""
     free, long = np.zeros(len(start)), 1.0
     for _ in range(_LOOKS):
         parts = free + long * (np.arange(_PARTS) / _PARTS)[:, None]
@@ -37,7 +38,7 @@ def normals(volume: Volume, place: Floats) -> Floats:
 
 
 def dropped(volume: Volume, points: Floats, up: Floats) -> tuple[Floats, NDArray[np.bool_]]:
-    """The first place of a solid that a ray from far above along -`up` meets, and whether there is one."""
+    """Return the first point of a solid that a ray from far above along -`up` hits, and whether there is one."""
     height = float(length((volume.high - volume.low)[None, :])[0])
     middle = (volume.low + volume.high) / 2
     start = points + up * (((middle - points) * up).sum(axis=1) + height)[:, None]
@@ -45,7 +46,7 @@ def dropped(volume: Volume, points: Floats, up: Floats) -> tuple[Floats, NDArray
 
 
 def below(volume: Volume, start: Floats, up: Floats, reach: Floats | float) -> tuple[Floats, NDArray[np.bool_]]:
-    """The first place of a solid that a ray along -`up` meets within `reach`, and whether there is one."""
+    """Return the first point of a solid that a ray along -`up` hits within `reach`, and whether there is one."""
     hits = SolidFeelers(volume).feelers(*start.T, -up[:, 0], -up[:, 1], -up[:, 2], reach)  # type: ignore[call-arg]
     place = start - up * np.where(hits.hit, hits.t, 0.0)[:, None]
     landed = volume.project(place, up, 2 * volume.voxel)

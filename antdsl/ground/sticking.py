@@ -1,6 +1,6 @@
-"""Sticking to surfaces by two rays a step: what a scene with `stick: rays` gets in place of walking over triangles.
+"""Sticking to surfaces by two rays per step. A scene with `stick: rays` uses this instead of walking over triangles.
 
-The agent goes straight on and is put where a ray down or a ray ahead and up meets a surface first; who meets none stays."""
+The agent moves straight ahead. It is then placed at the first hit of a ray down or a ray ahead and up; without a hit it stays."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ _LEVEL = 1e-9  # below it a vector has no direction
 
 
 def move_by_rays(ground: Meshes, footing: Footing, wish: Floats, heading: Floats, up: Floats, body: Floats, threads: int) -> Move:
-    """As `Ground.move`, from footings of n agents by `wish`; vectors (3, n), mm, `body` (n,).
+    """Move n agents from their footings by `wish`, as `Ground.move` does. Vectors are (3, n), mm; `body` is (n,).
 
-    Ray 1 goes down, along minus the agent's own up, from above where it wants to be. Ray 2 goes ahead and, turned about side =
-    heading x up, 30 degrees upward. The nearer hit is the new place and the heading is normal x side (T. Kewlani, Art Directed
-    Ant Crowd Simulation in Houdini, section 4.3.8). The text there has the longer ray win, the pseudo-code the nearest hit: the
-    longer one would pass through every wall that ray 2 sees. `position` is what the ray gave, in float32 and so off its face
-    by a hair. Who meets nothing stays and is `blocked`.
-    """
+    Ray 1 goes down, along minus the agent's up, from above its intended position. Ray 2 goes ahead, rotated 30 degrees upward
+    about side = heading x up. The nearer hit is the new position, and the heading is normal x side (T. Kewlani, Art Directed Ant
+    Crowd Simulation in Houdini, section 4.3.8). In that source the text prefers the longer ray, the pseudo-code the nearest hit.
+    The longer one would pass through every wall that ray 2 hits.
+
+    `position` is the ray's hit in float32, so it is slightly off its face. An agent without a hit stays and is `blocked`."""
     known = footing.face >= 0
     wish = np.where(np.isfinite(wish).all(axis=0) & known, wish, 0.0)
     place, length = ground.position(footing).T, np.sqrt(dot(wish, wish))
@@ -47,8 +47,9 @@ def move_by_rays(ground: Meshes, footing: Footing, wish: Floats, heading: Floats
 
 
 def _laid(vector: Floats, up: Floats, normal: Floats) -> Floats:
-    """normal x side, where side = vector x up: a unit vector at right angles to the normal. Where that is nothing, for a wall at
-    the agent's side or before it, what the wall leaves of the vector, or of up."""
+    """Return normal x side, where side = vector x up, as a unit vector perpendicular to the normal.
+
+    That is zero for a wall beside or in front of the agent. Then return the projection of the vector, or of up, onto the wall."""
     flat = stacked_cross(normal, stacked_cross(vector, up))
     for other in (vector, up):
         flat = np.where(dot(flat, flat) > _LEVEL, flat, other - dot(other, normal) * normal)

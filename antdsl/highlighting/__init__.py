@@ -1,2 +1,2 @@
-"""Colours for `.ant` text where nobody parses: one list of patterns, made from the tables of the language's words, as a TextMate
-grammar for editors and as a Pygments lexer."""
+"""Colours for `.ant` text without a parser: one list of patterns, made from the tables of the language's words. It becomes a
+TextMate grammar for editors and a Pygments lexer."""

@@ -23,7 +23,7 @@ def token_type(name: str) -> Any:
 
 
 def _action(pattern: Pattern) -> Callable[[RegexLexer, Match[str]], _Found]:
-    """Cuts what a pattern matches at its groups; what lies between them is blanks."""
+    """Return an action that splits a match at the groups of its pattern. Text between the groups is blank."""
     types = [token_type(name) for name in pattern.classes]
 
     def action(lexer: RegexLexer, match: Match[str]) -> _Found:

@@ -1,7 +1,7 @@
-"""What `.ant` text is made of, as regular expressions that Python and Oniguruma read alike: the first that fits at a place wins.
+"""The elements of `.ant` text, as regular expressions that Python and Oniguruma read alike: the first match at a place wins.
 
-A word may be a keyword here and a name there. The grammar tells by what may stand at a place; here it is told by what stands
-beside it."""
+A word may be a keyword in one place and a name in another. The grammar decides by what may stand at a place; here the
+neighbouring text decides."""
 
 from __future__ import annotations
 
@@ -15,8 +15,7 @@ from antdsl.syntax.words import FIELD_SETTINGS, FORMS, LINE_WORDS, NUMBER, UNITS
 
 @dataclass(frozen=True, slots=True)
 class Pattern:
-    """A regular expression, and for each of its groups, from the first on, the class of what it matches. Without groups the
-    class is that of the whole."""
+    """A regular expression, and the class of each of its groups. Without groups, the class applies to the complete match."""
 
     regex: str
     classes: tuple[str, ...]
@@ -45,7 +44,7 @@ CLASSES: dict[str, tuple[str, str]] = {
 }
 
 DECLARING = ("species", "behaviour", "field", "machine", "state", "param", "let", "latch", "fuzzy", "keep", "start")
-# Words inside a line. Those that are names too where an argument is named or called are told by the sign after them.
+# Words inside a line. Some are also names; where an argument is named or called, the sign after them decides.
 INNER = (
     "when", "interrupt", "within", "as", "on", "any", "except", "for", "each", "held", "after", "take", "from", "all", "to",
     "until", "then", "relax", "over", "strongest", "if", "else", "at", "least",

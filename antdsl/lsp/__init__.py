@@ -1,6 +1,6 @@
-"""The language server: what an editor asks about `.ant` files and scenes, answered by the chain that `antdsl check` runs.
+"""The language server: answers an editor's requests about `.ant` files and scenes, with the checks that `antdsl check` runs.
 
-`server.start` is its door; it needs pygls, the extra `[lsp]`. All other files of this room work without it."""
+`server.start` runs it; it needs pygls, the extra `[lsp]`. All other files of this package work without it."""
 
 from __future__ import annotations
 

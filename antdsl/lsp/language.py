@@ -1,4 +1,4 @@
-"""What the words of the language mean, wherever they are asked for: in an editor, and by `antdsl check --explain WORD`."""
+"""Meanings of the language's words, wherever they are requested: in an editor, and by `antdsl check --explain WORD`."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ def flat(text: str) -> str:
 
 
 def markdown(form: str, *lines: str, notation: str = "ant") -> str:
-    """A form in the language, then what there is to say, a paragraph each."""
+    """Return Markdown: a form in the language, then the explanations, one paragraph each."""
     return "\n\n".join([f"```{notation}\n{form}\n```", *(line for line in lines if line)])
 
 
@@ -93,7 +93,7 @@ def _given(key: Key) -> str | None:
 
 
 def builtin_form(name: str, row: Builtin) -> str:
-    """`clamp(x: number A, to: range A) -> number A`."""
+    """Return the form of a built-in, such as `clamp(x: number A, to: range A) -> number A`."""
     parts = []
     for arg in row.args:
         default = f" = {arg.default}" if arg.default is not None else ""
@@ -140,7 +140,7 @@ def _word(key: Key) -> str | None:
 
 
 def _unit(key: Key) -> str | None:
-    """A unit by itself, or one that is made of others: `mm/s`, `%/s`."""
+    """Describe a unit, alone or made of others: `mm/s`, `%/s`. None for an unknown one."""
     known = measure(key[1])
     if known is None:
         return None
@@ -168,8 +168,8 @@ def _said(table: dict[str, str], what: str, forms: dict[str, str], notation: str
 
 
 def keyword(word: str, begins: bool) -> str | None:
-    """A word of the language. What begins a line says something else than what stands inside one: `on spawn { … }`, `field
-    trail on ground`."""
+    """Return the description of a keyword, or None. A word that begins a line differs from the same word inside one: `on spawn {
+    … }`, `field trail on ground`."""
     if not begins:
         return markdown(INNER_FORMS[word], INNER_HELP[word]) if word in INNER_HELP else None
     if word not in FORM_HELP:
@@ -233,7 +233,7 @@ _MEANINGS: tuple[tuple[str, Collection[str], Rule], ...] = (
 
 
 def words() -> set[str]:
-    """All words that `about` knows; of units, those that are not made of others."""
+    """Return all words that `about` knows. Of units, compound ones are left out."""
     own = {word for _, node in _library() for word in (node.name.text, *(argument.name.text for argument in node.arguments))}
     arguments = {arg.name for rows in BUILTINS.values() for row in rows for arg in row.args}
     tables = {word for _, table, _ in _MEANINGS for word in table}
@@ -241,8 +241,8 @@ def words() -> set[str]:
 
 
 def about(word: str) -> str | None:
-    """All that a word of the language, of a scene or of the library means, as Markdown, each meaning apart; None for one that is
-    not known. A unit may be made of others, and have a number before it."""
+    """Return all meanings of a word of the language, of a scene or of the library, as Markdown, each separate; None for an
+    unknown word. A unit may be compound, and have a number before it."""
     found = [(title, rule(("", word))) for title, table, rule in _MEANINGS if word in table]
     unit = word.lstrip("0123456789. ")
     if not found and (known := _unit(("unit", unit))):

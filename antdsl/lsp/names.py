@@ -1,4 +1,4 @@
-"""What a file declares by name, and every name in it with what it stands for: the checker's bindings, laid over the tree."""
+"""The names that a file declares, and each name in it with its meaning: the checker's bindings, applied to the tree."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ _CALLED = frozenset({*BUILTINS, *REDUCERS, *WHOLES, "at_start"})
 
 @dataclass(frozen=True, slots=True)
 class Occurrence:
-    """A name in the text. Where one word stands for two things at once, as in `take 1 load from meal`, there are two."""
+    """A name in the text. Where one word has two meanings at once, as in `take 1 load from meal`, there are two."""
 
     span: Span
     key: Key
@@ -36,7 +36,7 @@ class Occurrence:
 
 @dataclass(slots=True)
 class SpeciesTable:
-    """`node` is None for a species that another file brings, whose attributes are known from `world` alone."""
+    """Names of a species. `node` is None for a species of another file, with attributes known from `world` only."""
 
     name: str
     node: nodes.Species | None
@@ -46,7 +46,7 @@ class SpeciesTable:
 
 @dataclass(slots=True)
 class Names:
-    """The declarations of one file, by their key and by what they are. `libraries` are the files of those that `use` brings."""
+    """The declarations of one file, by key and by kind. `libraries` are the files that `use` names."""
 
     path: Path
     file: nodes.File
@@ -96,8 +96,9 @@ def names_of(path: Path, file: nodes.File) -> Names:
 
 
 def occurrences(names: Names, bindings: Bindings) -> list[Occurrence]:
-    """Every name of a file: declared there, or bound by the checker, or a word of the language by its place. Of what the checker
-    could not resolve, or did not come to, the kind begins with `?`."""
+    """Return every name of a file: declared there, bound by the checker, or a word of the language by its position.
+
+    If the checker did not resolve or did not reach a name, its kind begins with `?`."""
     bound: dict[Span, dict[Key, None]] = {}
     for span, declared in bindings.uses:
         key = names.places.get(declared) or _element(names, declared) if isinstance(declared, Span) else declared
@@ -109,14 +110,15 @@ def occurrences(names: Names, bindings: Bindings) -> list[Occurrence]:
 
 
 def _element(names: Names, declared: Span) -> Key:
-    """The key of what is seen from one expression or handler alone: a name says which only with its place."""
+    """Return the key of a symbol that is visible in one expression or handler only. Its name is unique only together with its
+    position."""
     return ("element", str(names.file.whole(declared).start), declared.text)
 
 
 @dataclass(slots=True)
 class _Index:
-    """One walk over a file. `meant`: what the word at a place is if it is neither declared there nor bound, and whether that
-    declares it."""
+    """One walk over a file. `meant`: the meaning of a word at a position that is neither declared there nor bound, and whether
+    the word is a declaration."""
 
     names: Names
     bound: dict[Span, dict[Key, None]]
@@ -144,7 +146,8 @@ class _Index:
             self.found.append(Occurrence(span, self.near(meant[0], item), meant[1]))
 
     def near(self, key: Key, item: nodes.TopItem) -> Key:
-        """Where the checker did not come to, a name is taken for one of the behaviour or species around it, if there is one."""
+        """Return the key of a name that the checker did not reach: the name of that kind in the enclosing behaviour or species,
+        if there is one."""
         if key[0] in ("?", "?state") and isinstance(item, (nodes.Behaviour, nodes.Species)):
             around = ("inner", str(self.names.path), item.name.text) if isinstance(item, nodes.Behaviour) else (item.name.text,)
             for each in self.names.declared:

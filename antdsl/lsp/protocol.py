@@ -1,4 +1,4 @@
-"""Answers of this room in the words of the language server protocol. The only file besides `server` that imports lsprotocol."""
+"""Answers of this package in the terms of the language server protocol. The only file except `server` that imports lsprotocol."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def range_of(range: Range) -> lsp.Range:
 
 
 def diagnostic(workspace: Workspace, document: Document, found: Diagnostic) -> lsp.Diagnostic:
-    """A complaint: its message with what to write instead, its code, and the places that belong to it."""
+    """Return a finding in the protocol's form: its message with the help, its code, and the related locations."""
     related = []
     for label in found.labels:
         place = workspace.span_of(label.span)

@@ -1,4 +1,4 @@
-"""How the words of programs and scenes look in a line, one sample for each of their meanings: for hovering, and `--explain`."""
+"""Sample lines for the words of programs and scenes, one per meaning: for hover, and `--explain`."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ INNER_FORMS = {
     "within": "when fear > 0.5 within 2 s: speed > 20 mm/s",
     "eventually": "when fear > 0.5 eventually: fear < 0.1",
 }
-# Calls, and what is asked of sets.
+# Calls, and queries of sets.
 _PLAIN_FORMS = {
     "abs": "abs(load - 1)",
     "clamp": "clamp(speed, 5 mm/s .. 20 mm/s)",

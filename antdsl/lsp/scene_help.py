@@ -1,4 +1,4 @@
-"""What a scene's keys mean and what may stand at a place of it, from the schema and from the programs of its crowd."""
+"""Meanings and possible values of a scene's keys, from the schema and from the programs of its crowd."""
 
 from __future__ import annotations
 
@@ -24,7 +24,8 @@ _PARTS: dict[str, type[model.Part]] = {
 
 
 def path_at(text: str, offset: int) -> tuple[tuple[str, ...], str]:
-    """The keys above a place and the text of its line before it, by indentation and open braces; YAML may be broken here."""
+    """Return the keys above a position and the text of its line before it. The result comes from indentation and open braces,
+    since the YAML may be invalid here."""
     begin = text.rfind("\n", 0, offset) + 1
     line = text[begin:offset]
     indent = len(line) - len(line.lstrip())
@@ -43,7 +44,7 @@ def path_at(text: str, offset: int) -> tuple[tuple[str, ...], str]:
 
 
 def _inside(line: str) -> list[str]:
-    """Keys whose value is open in this line: `crowd: - {place: {` gives crowd, place."""
+    """Return the keys with an open value in this line: `crowd: - {place: {` gives crowd, place."""
     stack: list[str] = []
     key = ""
     for piece in re.finditer(r"([A-Za-z_.][A-Za-z_0-9.]*):|[{}\[\]]", line):

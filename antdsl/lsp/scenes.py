@@ -1,4 +1,4 @@
-"""A scene's text: the names in it that programs declare, the files that it brings, and what its keys may be."""
+"""The text of a scene: names in it that programs declare, files that it uses, and the possible values of its keys."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ from antdsl.source import Source, Span
 from antdsl.syntax.words import FIELD_SETTINGS
 
 _WORD = re.compile(r"[a-z][a-z_0-9]*")
-# Keys whose values name a thing or an item, perhaps one that the scene behind this one has.
+# Keys with values that name a thing or an item, perhaps one of the scene that this one extends.
 _NAMING = frozenset(("on", "around", "toward", "away", "border", "solved", "density"))
 
 
 @dataclass(slots=True)
 class SceneIndex:
-    """`document` is None where the text is no YAML just now; `fps` as written."""
+    """The names of a scene's text. `document` is None while the text is not valid YAML; `fps` is as in the source."""
 
     path: Path
     document: MappingNode | None
@@ -95,7 +95,7 @@ def _attributes(index: SceneIndex, thing: str, node: Node) -> None:
 
 
 def _named(index: SceneIndex, key: str, node: Node, things: set[str]) -> None:
-    """A value that may be the name of a thing of the world, or of an item; `?scene` where the scene behind this one must say."""
+    """Record a value that may name a thing of the world or an item; `?scene` where only the base scene can decide."""
     if isinstance(node, ScalarNode):
         if node.text in things:
             index.say(node.span, ("thing", node.text))
@@ -143,7 +143,7 @@ def _fields(index: SceneIndex, node: Node) -> None:
 
 
 def _layers(index: SceneIndex, node: Node) -> None:
-    """Layers are named by their text, or by the word that it begins with."""
+    """Record the layers of a node. A layer is named by its text, or by the first word of its text."""
     for species, span, value in _mapping(node):
         index.say(span, ("species", species))
         for item in value.items if isinstance(value, SequenceNode) else ():

@@ -1,4 +1,4 @@
-"""The language server itself: each request of the protocol, handed to the file of this room that answers it."""
+"""The language server: it passes each request of the protocol to the file of this package that answers it."""
 
 from __future__ import annotations
 
@@ -36,7 +36,8 @@ _log = logging.getLogger(__name__)
 
 
 class Server(LanguageServer):
-    """pygls's server with our documents. `uris` has each open document's own URI, which an editor wants back as it gave it."""
+    """The pygls server with our documents. `uris` has the URI of each open document as the editor sent it, since editors expect
+    that URI in answers."""
 
     def __init__(self) -> None:
         super().__init__("antdsl", __version__)
@@ -44,10 +45,10 @@ class Server(LanguageServer):
         self.uris: dict[Path, str] = {}
         self.left_early = False  # the editor ended without a shutdown
         self.asked_to_end = False
-        self.waiting: set[Path] = set()  # documents whose complaints are to be told once there is nothing else to read
+        self.waiting: set[Path] = set()  # documents with findings to report once there is nothing else to read
 
     def path(self, uri: str) -> Path:
-        """The path behind a URI; a document that is no file yet gets one of its own in the current folder."""
+        """Return the path behind a URI; a document that is no file yet gets a separate one in the current folder."""
         found = path_of(uri)
         if found is None:
             name = "".join(c if c.isalnum() or c in "._-" else "_" for c in uri)
@@ -69,7 +70,7 @@ class Server(LanguageServer):
     # --- complaints ---
 
     def check_soon(self, path: Path) -> None:
-        """Check when all that is waiting has been read: of ten keys that came at once only the last is answered."""
+        """Check a file when all pending messages have been read. Of ten key presses at once, only the last is answered."""
         import asyncio
 
         self.waiting.add(path)
@@ -89,7 +90,7 @@ class Server(LanguageServer):
             return
         try:
             found = [protocol.diagnostic(self.files, document, each) for each in self.files.complaints(path)]
-        except Exception:  # a bug of ours must not cost somebody their editor's session
+        except Exception:  # a bug of ours must not end an editor's session
             _log.exception("cannot check %s", path)
             return
         self.text_document_publish_diagnostics(lsp.PublishDiagnosticsParams(self.uris[path], found, document.version))
@@ -173,7 +174,7 @@ def _watched(ls: Server, params: lsp.DidChangeWatchedFilesParams) -> None:
 
 
 def _others(ls: Server) -> None:
-    """What is on disk has changed: all that is open is looked at again, which costs nothing where nothing has."""
+    """Check all open documents again after a change on disk. This costs almost nothing where nothing changed."""
     ls.files.search_again()
     for path in ls.files.open:
         ls.check_soon(path)
@@ -330,8 +331,9 @@ def _format(ls: Server, params: lsp.DocumentFormattingParams) -> list[lsp.TextEd
 
 
 class _Output(io.RawIOBase):
-    """Messages to the editor. After the first that cannot be written no more is: an error about it could not be written either,
-    nor an error about that. `problem`: why; None where all were written, or where the editor is gone."""
+    """Messages to the editor. After the first failed write, no more are written: an error message about it would fail too.
+
+    `problem` is the reason; None where all messages were written, or where the editor is gone."""
 
     def __init__(self, handle: int) -> None:
         self._handle: int | None = handle
@@ -348,8 +350,8 @@ class _Output(io.RawIOBase):
 
 
 def start() -> bool:
-    """Talk with an editor over standard input and output until it says goodbye; False if it left without asking to shut down.
-    OSError where messages could not be written."""
+    """Serve an editor over standard input and output until it ends the session. Return False if it left without a shutdown
+    request. Raises OSError where messages could not be written."""
     logging.basicConfig(level=logging.WARNING, format="%(levelname)s %(name)s: %(message)s")  # to standard error
     output = _Output(os.dup(1))
     with os.fdopen(os.dup(0), "rb") as reader:

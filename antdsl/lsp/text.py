@@ -1,4 +1,4 @@
-"""A document's text with the way between offsets and an editor's lines and columns; and the way between URIs and paths."""
+"""The text of a document: conversion between offsets and an editor's lines and columns, and between URIs and paths."""
 
 from __future__ import annotations
 
@@ -22,12 +22,13 @@ class Edit:
 
 
 def normal(text: str) -> str:
-    """Line ends as `syntax.read` has them. Lines and columns of an editor are the same in both."""
+    """Normalise line ends as `syntax.read` does. An editor's lines and columns are the same in both."""
     return text.removeprefix("\ufeff").replace("\r\n", "\n").replace("\r", "\n") if "\r" in text or "\ufeff" in text[:1] else text
 
 
 class Text:
-    """Text with LF line ends. `encoding`: what the editor counts columns in: utf-16 (as the protocol has it), utf-8, utf-32."""
+    """Text with LF line ends. `encoding` is the unit of the editor's columns: utf-16 (the protocol's default), utf-8 or
+    utf-32."""
 
     __slots__ = ("encoding", "starts", "text")
 
@@ -49,7 +50,8 @@ class Text:
         return self.text[self.starts[number] : end]
 
     def offset(self, line: int, column: int) -> int:
-        """The offset of a place; columns beyond a line's end mean its end, lines beyond the last the text's end."""
+        """Return the offset of a position. A column beyond the end of its line means the line's end; a line beyond the last means
+        the text's end."""
         if line >= len(self.starts):
             return len(self.text)
         text, start = self.line(line), self.starts[line]
@@ -91,7 +93,7 @@ class Text:
 
 
 def path_of(uri: str) -> Path | None:
-    """The file behind a URI, links resolved; None for what is no file, such as `untitled:Untitled-1`."""
+    """Return the file behind a URI, with links resolved; None for a URI that is not a file, such as `untitled:Untitled-1`."""
     parts = urlsplit(uri)
     if parts.scheme != "file":
         return None

@@ -1,4 +1,4 @@
-"""What the words of programs and scenes mean, in a few words each: for hovering, and beside what completion proposes."""
+"""Short descriptions of the words of programs and scenes: for hover, and beside completion proposals."""
 
 from __future__ import annotations
 
@@ -160,7 +160,7 @@ TYPE_HELP = {
     "field": "a field by its name",
     **{row.word: row.typed for row in KINDS_OF_THINGS.values() if row.typed},
 }
-# What is asked of all in a spec.
+# Queries over all items, agents or cells in a spec.
 WHOLE_HELP = {"total": "the sum over all items, agents or cells", "share": "for which part of them it holds, from 0 to 1"}
 # Keys of a scene.
 SCENE_HELP = {

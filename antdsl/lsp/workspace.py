@@ -1,4 +1,4 @@
-"""The files of one editing session: open buffers over what is on disk, checked by the chain of `antdsl check`."""
+"""The files of one editing session: open buffers, which override the files on disk, checked by the chain of `antdsl check`."""
 
 from __future__ import annotations
 
@@ -40,22 +40,22 @@ _SCENE = re.compile(r"^(?:antdsl|crowd|extends)[ \t]*:", re.MULTILINE)  # keys t
 
 @dataclass(frozen=True)
 class Index:
-    """The names of a document in text order, with where each begins."""
+    """The names of a document in text order, with the start offset of each."""
 
     occurrences: list[Occurrence]
     starts: list[int]
 
     @cached_property
     def meanings(self) -> dict[int, tuple[str, bool]]:
-        """What the word at an offset is: the kind of its symbol, and whether it is declared there."""
+        """Return, for the word at each offset, the kind of its symbol and whether the symbol is declared there."""
         pairs = zip(reversed(self.starts), reversed(self.occurrences), strict=True)
         return {start: (str(each.key[0]), each.declares) for start, each in pairs}
 
 
 @dataclass(eq=False)
 class Document:
-    """A file as it is now, in the editor or on disk. `stamp` is None for an open buffer; `resolve` gives the bindings of the file
-    with all that it uses."""
+    """A file in its current state, in the editor or on disk. `stamp` is None for an open buffer. `resolve` returns the bindings
+    of the file and all files that it uses."""
 
     path: Path
     text: Text
@@ -86,7 +86,7 @@ class Document:
 
     @property
     def index(self) -> Index:
-        """Every name in the document; anew where a check of it gave other bindings."""
+        """Every name in the document; built again where a check of it gave other bindings."""
         bindings = self.resolve(self.path) if self.is_program else NO_BINDINGS
         if self._index is None or self._index[0] is not bindings:
             found = occurrences(self.names, bindings) if self.is_program else self.scene.occurrences
@@ -106,7 +106,7 @@ class Document:
         return made
 
     def start(self, span: Span) -> int:
-        """Where a span of this document begins in its text."""
+        """Return the start offset of a span in this document's text."""
         return self._whole(span).start
 
     def end(self, span: Span) -> int:
@@ -119,7 +119,7 @@ class Document:
         return self.text.range(self.start(span), self.end(span))
 
     def at(self, offset: int) -> list[Occurrence]:
-        """The names at an offset, those that begin or go on there before one that ends there."""
+        """Return the names at an offset. A name that starts at or covers the offset precedes one that ends there."""
         index = self.index
         found: list[Occurrence] = []
         for number in range(bisect_right(index.starts, offset) - 1, -1, -1):
@@ -141,7 +141,7 @@ class Document:
 
 @dataclass(frozen=True, slots=True)
 class Checked:
-    """What checking a document gave. `program` and `scene` are None where there was nothing to go on with."""
+    """The result of checking a document. `program` and `scene` are None where errors prevented them."""
 
     program: Program | None
     scene: Scene | None
@@ -150,7 +150,7 @@ class Checked:
 
 @dataclass(eq=False)
 class Workspace:
-    """`roots` are the editor's folders; `open` the documents that it holds, by their real path."""
+    """All files of the session. `roots` are the editor's folders; `open` has its open documents, by real path."""
 
     roots: list[Path] = field(default_factory=list)
     encoding: str = "utf-16"
@@ -182,7 +182,7 @@ class Workspace:
         self._memos.pop(path, None)
 
     def document(self, path: Path) -> Document | None:
-        """A file as the editor has it, or else as it is on disk; None when it cannot be read."""
+        """Return a file as in the editor, or else as on disk; None when it cannot be read."""
         found = self.open.get(path)
         if found is not None:
             return found
@@ -213,7 +213,8 @@ class Workspace:
     # --- checking ---
 
     def check(self, path: Path) -> Checked | None:
-        """The document checked, anew where a file that it depends on has changed."""
+        """Return the checked document; it is checked again where a file that it depends on has changed. None if there is no
+        document."""
         document = self.document(path)
         if document is None:
             return None
@@ -227,21 +228,21 @@ class Workspace:
         return checked
 
     def _state(self, path: Path) -> object:
-        """All that a check depends on: the documents that belong together, as they are."""
+        """Return all inputs of a check: the related documents in their current state."""
         return [(each, self.document(each)) for each in self.linked(path)]
 
     def bindings(self, path: Path) -> Bindings:
-        """What the names of a program were resolved to, as far as it makes sense."""
+        """Return the resolved names of a program, as far as its text is valid."""
         checked = self.check(path)
         return NO_BINDINGS if checked is None or checked.program is None else checked.program.bindings
 
     def good(self, path: Path) -> Program | None:
-        """The last program of this document that checked without errors, for what is asked while it is being changed."""
+        """Return the last program of this document that checked without errors, for queries during an edit."""
         checked = self.check(path)
         return self._good.get(path) or (checked.program if checked is not None else None)
 
     def parsed(self, path: Path) -> Parsed:
-        """Programs that were parsed already, for the chain: those open in the editor above all."""
+        """Return the cached parse results for the chain. Documents open in the editor have priority."""
         found: Parsed = {}
         for each in {*self.open, *self.linked(path), *self._libraries()}:
             document = self.document(each)
@@ -269,8 +270,8 @@ class Workspace:
         return Checked(program, scene, report)
 
     def complaints(self, path: Path) -> list[Diagnostic]:
-        """What is wrong in this very document; one about all of it has no span. A YAML file that is no scene is nobody's
-        business here: editors send every one."""
+        """Return the findings in this very document; one about all of it has no span. A YAML file that is no scene has none:
+        editors send every one."""
         document = self.document(path)
         if document is not None and not document.is_program and not _SCENE.search(document.text.text):
             return []
@@ -286,7 +287,7 @@ class Workspace:
     # --- which files belong together ---
 
     def linked(self, path: Path) -> list[Path]:
-        """A file with the files that it names, and that those name."""
+        """Return a file, the files that it names, and the files that those name."""
         found: dict[Path, None] = {}
         stack = [path]
         while stack:
@@ -300,7 +301,7 @@ class Workspace:
         return list(found)
 
     def family(self, path: Path) -> list[Path]:
-        """All files in which a name of this one can stand: linked by `use`, or by scenes that bring them together."""
+        """Return all files in which a name of this file may occur: linked by `use`, or by scenes that use them together."""
         links = {each: set(self.linked(each)) for each in self.files()}
         links.setdefault(path, set(self.linked(path)))
         found = set(links[path]) | {path}
@@ -314,7 +315,7 @@ class Workspace:
         return sorted(found)
 
     def extending(self, path: Path) -> list[Path]:
-        """A scene, those that it extends, and all that extend one of these."""
+        """Return a scene, the scenes that it extends, and all scenes that extend one of these."""
         behind = {each: {p for p in self.linked(each) if p.suffix != PROGRAM} for each in self.files() if each.suffix != PROGRAM}
         mine = behind.get(path, {p for p in self.linked(path) if p.suffix != PROGRAM})
         others = {each for each, linked in behind.items() if linked & mine} | mine
@@ -325,8 +326,10 @@ class Workspace:
         return [each for each in self.open if each != path and path in self.linked(each)]
 
     def files(self) -> list[Path]:
-        """Programs and scenes below the editor's folders, and the open ones. Large folders are not searched at every question:
-        what was found holds for twenty times as long as the search took, or until the editor tells of a change."""
+        """Return the programs and scenes below the editor's folders, and the open ones.
+
+        Large folders are not searched at every request. A result is valid for twenty times the duration of its search, or until
+        the editor reports a change."""
         now = monotonic()
         if now >= self._searched[0]:
             found, _ = find_files(root for root in self.roots if root.is_dir())

@@ -1,9 +1,8 @@
 """`python -m antdsl.machine_code.build_objects [--host]`: compile all kernels and texts of the package in advance.
 
 It writes a file for each target of `shipped`, or with `--host` only for that of this machine, into the installation. Building and
-installing the package run it. It needs NumPy and llvmlite only. Object files whose keys are there already are not compiled again:
-delete the folder to start from scratch. The same sources and LLVM give the same bytes: no time, path or order of work is in a
-file."""
+installing the package run it. It needs NumPy and llvmlite only. Object files with existing keys are not compiled again: delete
+the folder to start from scratch. The same sources and LLVM give the same bytes: no time, path or order of work is in a file."""
 
 from __future__ import annotations
 
@@ -27,8 +26,10 @@ _Task = tuple[_Place, tuple[str, ...]]  # what is compiled, and for which target
 
 
 def build(folder: Path, entries: Sequence[library.Entry], targets: Iterable[str], processes: int = 1) -> int:
-    """Write the files of targets into a folder, which is created. `entries`: kernels and texts; with several `processes`, of the
-    package. The number of object files that were compiled: all that the folder does not have yet."""
+    """Write the object files of targets into a folder, which is created. Return the number of files compiled: those that the
+    folder did not have.
+
+    `entries` are kernels and texts; with several `processes`, those of the package."""
     keys: dict[str, dict[_Place, str]] = {}
     done: dict[str, dict[str, bytes]] = {}
     for name in targets:

@@ -9,14 +9,14 @@ from threading import Lock
 
 from antdsl.machine_code import machine, object_cache, shipped
 
-_KEPT = 256  # functions whose code stays in memory
+_KEPT = 256  # functions with code in memory
 _known: OrderedDict[str, machine.Code] = OrderedDict()
 _guard = Lock()
 
 
 def code(named: str, write: Callable[[], str] | None = None) -> machine.Code:
-    """The functions of a text, ready to run on this processor; with `write`, of the text that this gives and that `named` alone
-    stands for. Raises RuntimeError where the text is wrong."""
+    """Return the functions of a text, ready to run on this processor. With `write`, the text is the result of `write`, and
+    `named` is its unique name. Raises RuntimeError for an invalid text."""
     target = machine.host()
     key = object_cache.key(named, target, versions=object_cache.versions())
     with _guard:
@@ -36,7 +36,7 @@ def code(named: str, write: Callable[[], str] | None = None) -> machine.Code:
 
 
 def kept(named: str) -> bool:
-    """Whether the code of a text, or of what stands for it, is in memory or stored."""
+    """Return whether the code of a text, or of its name, is in memory or stored."""
     target = machine.host()
     key = object_cache.key(named, target, versions=object_cache.versions())
     with _guard:
@@ -46,18 +46,18 @@ def kept(named: str) -> bool:
 
 
 def _stored(named: str, target: machine.Target, key: str) -> bytes | None:
-    """The object file of a text: that of the installation, or else that of an earlier run, which is stored under a key."""
+    """Return the object file of a text: from the installation, or else from an earlier run, where it is stored under a key."""
     found = shipped.find(named, target)
     return _objects().get(key) if found is None else found
 
 
 def told() -> list[str]:
-    """Sentences for the user on why stored code was not used, or why that of this run is not stored."""
+    """Return messages for the user on why stored code was not used, or why new code is not stored."""
     return shipped.messages() + (list(_objects().messages) if _objects.cache_info().currsize else [])
 
 
 def forget() -> None:
-    """Let go of all code in memory that nobody has in use, as in a process that begins; what a folder keeps stays there."""
+    """Release all code in memory that is not in use, as in a process that begins; the contents of folders stay."""
     with _guard:
         _known.clear()
     _objects.cache_clear()

@@ -1,7 +1,7 @@
-"""Functions that are called from outside: each sets how the processor works with floats, and puts it back as it was.
+"""Functions that are called from outside: each sets the processor's float mode, and restores it at the end.
 
-A host may have denormal numbers flushed to zero, or results rounded upward; a thread has that from the one that began it. The
-function that is called sets the register of that and calls another one with the work: no operation can be moved past it."""
+A host may flush denormal numbers to zero or round upward, and a thread inherits that mode from its creator. The outer function
+sets the mode register and calls an inner function that does the work. So no operation can be moved out of it."""
 
 from __future__ import annotations
 
@@ -13,14 +13,15 @@ _USUAL = 0x1F80  # of MXCSR: nothing is flushed, to nearest, no operation traps
 
 
 def entry(module: Module, name: str, body: str, line_table: str = "") -> str:
-    """The text of a function of (table of addresses, first row, row after the last) that does what a body says. `line_table`: the
-    metadata of the body, if it has any."""
+    """Return the text of a function of (table of addresses, first row, row after the last) with a given body. `line_table` is the
+    metadata of the body, if any."""
     inside = f"define internal void @{name}.inside({ARGUMENTS}) noinline{line_table} {{\nentry:\n{body}\n  ret void\n}}"
     return outer(module, name) + inside
 
 
 def outer(module: Module, name: str) -> str:
-    """The text of the function that is called from outside, and calls the one with the work: `.inside` behind its name."""
+    """Return the text of the function that is called from outside. It calls the function that does the work, named with `.inside`
+    at the end."""
     before, after = _x86(module) if module.target.x86 else _arm(module) if module.target.arm else ("", "")
     call = f"  call void @{name}.inside({ARGUMENTS})"
     return f"define void @{name}({ARGUMENTS}) {{\nentry:\n{before}{call}\n{after}  ret void\n}}\n"

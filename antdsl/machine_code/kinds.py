@@ -1,4 +1,4 @@
-"""Kinds of numbers in machine code, and how many of them are worked with side by side."""
+"""Kinds of numbers in machine code, and the number of SIMD lanes."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-WIDTH = 8  # agents, or turns of a loop, that are done side by side
+WIDTH = 8  # agents, or turns of a loop, in SIMD lanes
 F32, F64, BOOL, I8, I32, I64, PTR = "float", "double", "i1", "i8", "i32", "i64", "ptr"
 TYPES: Mapping[Any, str] = {
     np.dtype(np.float32): F32, np.dtype(np.float64): F64, np.dtype(np.bool_): BOOL, np.dtype(np.int32): I32,
@@ -19,7 +19,7 @@ BITS = {BOOL: 1, I8: 8, I32: 32, I64: 64}
 
 
 def literal(value: Any, kind: str) -> str:
-    """A number in LLVM's language; of a float the bits."""
+    """Return a number in LLVM's language; a float as its bits."""
     if kind in FLOATS:
         number = float(np.float32(value)) if kind == F32 else float(value)
         return f"0x{struct.unpack('>Q', struct.pack('>d', number))[0]:016X}"

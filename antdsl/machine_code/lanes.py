@@ -1,8 +1,8 @@
-"""Values of eight agents at once, and what writes the functions of a plan with them.
+"""Values of eight agents at once, and the builder of a plan's functions.
 
-`Lanes` answers to the operators and to the NumPy functions that the project's own formulas are written with (`_OF_NUMPY`): a
-function of `numerics` that is called with lanes instead of arrays adds its operations, in the order and with the roundings that
-NumPy gives them. So each operation has one meaning for both."""
+`Lanes` supports the operators and the NumPy functions of the project's formulas (`_OF_NUMPY`). A function of `numerics` that is
+called with lanes instead of arrays adds its operations, in NumPy's order and with its roundings. So each operation has one
+meaning for both."""
 
 from __future__ import annotations
 
@@ -31,8 +31,8 @@ def _operator(word: str, *, swapped: bool = False) -> Callable[[Lanes, Any], Lan
 
 
 class Lanes(Number):
-    """A number of a plan's function: one of each of eight agents, or a single one, which operators put into each lane where the
-    other one is wide."""
+    """A number of a plan's function: one per agent for eight agents, or a single one. Operators broadcast a single number to all
+    lanes where the other operand is wide."""
 
     __slots__ = ("e",)
     e: LaneBuilder
@@ -73,7 +73,7 @@ class Lanes(Number):
 
 
 class LaneBuilder(Vectors[Lanes]):
-    """Writes one function. Blocks nest: what an inner block names is not known outside it, so `known` is a stack."""
+    """Writer of one function. Blocks nest: values of an inner block are not known outside it, so `known` is a stack."""
 
     def __init__(self, module: Module) -> None:
         super().__init__("plan", "plan")
@@ -85,13 +85,13 @@ class LaneBuilder(Vectors[Lanes]):
         return Lanes(self, kind, name, lanes, known)
 
     def at_entry(self, op: str, kind: str, *operands: Number, x: Any = "") -> Lanes:
-        """An instruction where the function begins, which gives a single number."""
+        """Add an instruction at the start of the function, with a single number as its result."""
         output = self.named(kind, self.name("e"))
         self._begun.append(Instruction(op, output, operands, x, 0))
         return output
 
     def end(self, name: str, arguments: Sequence[Number], *given: Number, attribute: str = "", outer: str = "") -> None:
-        """Add the function to the module, under a name. `outer`: the text of what calls it from outside."""
+        """Add the function to the module, under a name. `outer` is the text of the function that calls it from outside."""
         self.do("return", *given)
         self.blocks[0].body[:0] = self._begun
         result, whole = given[0].type if given else "void", f"@{name}.inside" if outer else f"@{name}"
@@ -103,7 +103,7 @@ class LaneBuilder(Vectors[Lanes]):
 
     @contextmanager
     def inside(self, condition: Lanes) -> Iterator[None]:
-        """What is written within runs only where a single condition holds."""
+        """Write code that runs only where a single condition holds."""
         then, done = self.label("then"), self.label("done")
         self.branch(condition, then, done)
         self.begin(then)
@@ -115,7 +115,7 @@ class LaneBuilder(Vectors[Lanes]):
 
     @contextmanager
     def loop(self, count: Lanes | int, step: int = 1) -> Iterator[Lanes]:
-        """Runs for numbers from 0 to below a single i64, by `step`; gives the number."""
+        """Write a loop from 0 to below a single i64, by `step`; yield the loop number."""
         head, body, done = self.label("head"), self.label("body"), self.label("done")
         place = self.slot(I64)
         self.put(place, self.constant(0, I64, 1))
@@ -132,7 +132,7 @@ class LaneBuilder(Vectors[Lanes]):
         self.begin(done)
 
     def once(self, key: Any, make: Callable[[], Any]) -> Any:
-        """A value that this block or one around it knows already, or makes now."""
+        """Return a value that this block or an enclosing one already has; otherwise make it now."""
         for names in reversed(self.known):
             if key in names:
                 return names[key]
@@ -140,7 +140,7 @@ class LaneBuilder(Vectors[Lanes]):
         return value
 
     def call(self, name: str, kind: str, *arguments: Number, lanes: int = WIDTH) -> Lanes:
-        """Call a function of the module that gives a number."""
+        """Call a function of the module that returns a number."""
         return self.op("call", kind, *arguments, x=f"@{name}", lanes=lanes)
 
     def meaning(self, function: Any, *inputs: Any) -> Any:
@@ -169,7 +169,7 @@ class LaneBuilder(Vectors[Lanes]):
         return self.constant(value, kind, like.lanes)
 
     def paired(self, a: Any, b: Any) -> tuple[Lanes, Lanes]:
-        """Two values of one kind, that which NumPy gives to what becomes of them; both wide if one is."""
+        """Convert two values to the kind of NumPy's result for both; both are wide if one is."""
         left, right = (a, self._number(b, a)) if isinstance(a, Lanes) else (self._number(a, b), b)
         if left.lanes != right.lanes:
             left, right = self.widened(left), self.widened(right)
@@ -210,7 +210,7 @@ class LaneBuilder(Vectors[Lanes]):
         return self.op("select", a.kind, condition, a, b)
 
     def convert(self, value: Lanes, kind: str) -> Lanes:
-        """As NumPy's `astype`; floats saturate, and NaN becomes 0."""
+        """Convert a value as NumPy's `astype` does; floats saturate, and NaN becomes 0."""
         if value.kind == kind:
             return value
         if kind == BOOL:
@@ -226,8 +226,8 @@ class LaneBuilder(Vectors[Lanes]):
         return self.op(row, kind, value)
 
     def whole(self, value: Lanes) -> Lanes:
-        """A whole number of float64 below 2**31 as i32, by its bits once 1.5 * 2**52 is added: of any other some number, none is
-        undefined."""
+        """Convert an integer in float64, below 2**31, to i32 by the bits of its sum with 1.5 * 2**52. Other values give an
+        unspecified number, but never an undefined one."""
         return self.convert(self.bits(value + _MAGIC, I64), I32)
 
     def rounded_bits(self, value: Lanes) -> Lanes:
@@ -243,7 +243,7 @@ class LaneBuilder(Vectors[Lanes]):
         return self.mask_bits(mask) != 0
 
     def mask_bits(self, mask: Lanes) -> Lanes:
-        """A condition as bits of one i8, the first lane's the lowest."""
+        """Return a condition as the bits of one i8; the first lane is the lowest bit."""
         return self.op("lanes", I8, mask, lanes=1)
 
     def mask_word(self, mask: Lanes) -> Lanes:
@@ -275,30 +275,30 @@ class LaneBuilder(Vectors[Lanes]):
         return self.address(base, offset, I8)
 
     def read(self, base: Number, index: Lanes | int, kind: str) -> Lanes:
-        """Eight elements from an index on; bytes as conditions for BOOL."""
+        """Read eight elements from an index on; for BOOL, bytes become conditions."""
         stored = I8 if kind == BOOL else kind
         value = self.op("load", stored, self.address(base, index, stored), x=", align 1", lanes=WIDTH)
         return self.convert(value, kind)
 
     def write(self, base: Number, index: Lanes | int, value: Lanes) -> None:
-        """Put eight elements from an index on; conditions as bytes."""
+        """Store eight elements from an index on; conditions become bytes."""
         stored = self.as_stored(value)
         place = self.address(base, index, stored.kind)
         self.do("store", self.widened(stored), place, x=", align 1")
 
     def write_where(self, mask: Lanes, base: Number, index: Lanes, value: Lanes) -> None:
-        """Put those of eight elements for which a condition holds. Nobody else may write to the eight meanwhile."""
+        """Store those of eight elements for which a condition holds. No other code may write to the eight meanwhile."""
         stored = self.as_stored(value)
         place = self.address(base, index, stored.kind)
         before = self.op("load", stored.kind, place, x=", align 1", lanes=WIDTH)
         self.do("store", self.where(mask, stored, before), place, x=", align 1")
 
     def as_stored(self, value: Lanes) -> Lanes:
-        """A condition as a byte, anything else as it is."""
+        """Return a condition as a byte, any other value unchanged."""
         return self.convert(value, I8) if value.kind == BOOL else value
 
     def fetch(self, place: Number) -> None:
-        """Have what lies at an address, which may be any, brought into the cache."""
+        """Prefetch the memory at an address. Any address is allowed."""
         self.do("prefetch", place)
 
     def read_one(self, base: Number, index: Lanes | int, kind: str) -> Lanes:
@@ -306,15 +306,15 @@ class LaneBuilder(Vectors[Lanes]):
         return self.convert(self.load(self.address(base, index, stored), stored), kind)
 
     def gather(self, base: Number, index: Lanes, kind: str) -> Lanes:
-        """Elements of an array at indices, which must lie in it: eight single loads, which many processors do faster than their
-        instruction for it."""
+        """Load elements of an array at indices, which must be within it. It uses eight single loads, which are faster than the
+        gather instruction of many processors."""
         stored = I8 if kind == BOOL else kind
         each = (self.read_one(base, self.convert(self.one(index, lane), I64), stored) for lane in range(WIDTH))
         return self.convert(self.together(each), kind)
 
 
 def elementwise(module: Module, name: str, kinds: tuple[str, ...], formula: Callable[..., Any]) -> str:
-    """Add a function of lanes that does what a formula of NumPy does, unless it is there; gives its name."""
+    """Add a function of lanes that computes a NumPy formula, unless it exists; return its name."""
     if name not in module.functions:
         e = LaneBuilder(module)
         inputs = [e.named(kind, f"%x{k}", WIDTH) for k, kind in enumerate(kinds)]
@@ -347,7 +347,7 @@ def _fmax(e: LaneBuilder, a: Any, b: Any) -> Lanes:
 
 
 def _frexp(e: LaneBuilder, a: Lanes) -> tuple[Lanes, Lanes]:
-    """Of a normal number of float64: its fraction in [0.5, 1), and its power of 2 as i32."""
+    """Split a normal float64 into its fraction in [0.5, 1) and its exponent of 2 as i32."""
     bits = e.bits(a, I64)
     power = e.convert((bits >> 52) & 0x7FF, I32) - 1022
     return e.bits((bits & ~(0x7FF << 52)) | (1022 << 52), F64), power
@@ -359,7 +359,7 @@ def _ldexp(e: LaneBuilder, a: Lanes, power: Lanes) -> Lanes:
 
 
 def _fmod(e: LaneBuilder, a: Any, b: Any) -> Lanes:
-    """The exact remainder, with the sign of a. Most are less than b already, and what is not is worked out lane by lane."""
+    """Return the exact remainder, with the sign of a. Most values are less than b already; others are computed lane by lane."""
     left, right = e.paired(a, b)
     result = e.slot(left.kind, WIDTH)
     e.put(result, left)

@@ -21,8 +21,8 @@ _DECORATED: Final = re.compile(rb"^@(kernel|library_text)\b", re.MULTILINE)
 
 
 class Entry(Protocol):
-    """A kernel or a text. `named` is what stands for its text in keys. Both may depend on the target, and a text is empty where a
-    processor cannot run it."""
+    """A kernel or a text. `named` stands for its text in keys. Both may depend on the target; a text is empty for a processor
+    that cannot run it."""
 
     __module__: str
     __name__: str

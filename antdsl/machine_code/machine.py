@@ -1,6 +1,6 @@
-"""Machine code from text in the intermediate language of LLVM, by llvmlite: the one door to it.
+"""Machine code from text in the intermediate language of LLVM, by llvmlite: the one interface to it.
 
-No flag lets LLVM change what a float operation gives: none of the fast-math flags, no contraction to fused operations."""
+No flag lets LLVM change the result of a float operation: none of the fast-math flags, no contraction to fused operations."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ _WRITTEN = '\n@"a number" = global i64 1\n'
 
 @dataclass(frozen=True, slots=True)
 class Target:
-    """What code is made for: a triple, the processor and its features, as LLVM names them."""
+    """The target of compiled code: a triple, the processor and its features, as LLVM names them."""
 
     triple: str
     cpu: str
@@ -56,7 +56,7 @@ ANY = Target("x86_64-unknown-linux-gnu", "x86-64-v3", "+avx2,-fma")  # for what 
 
 
 class NoMachineCode(RuntimeError):
-    """Machine code is needed and cannot be made here: the message says why and what to do about it."""
+    """Error for machine code that is needed but cannot be compiled here; the message says why and what to do."""
 
 
 @cache
@@ -70,7 +70,7 @@ def _llvm() -> Any:
 
 @cache
 def unavailable() -> str:
-    """Why no code can be made here, and what to do about it; nothing where it can."""
+    """Return why no code can be compiled here, and what to do about it; an empty string where it can."""
     try:
         import llvmlite
 
@@ -104,16 +104,16 @@ def host() -> Target:
 
 
 def named(features: Mapping[str, bool]) -> str:
-    """A processor's features as LLVM reads them, without those that instructions could be fused by, but where registers are of
-    512 bits. Those are said to be missing last, since one may imply another (`xop` has `fma4` with it) and what is read later
-    counts."""
+    """Return a processor's features in LLVM's form, without those that could fuse instructions, except with 512-bit registers.
+
+    Disabled features come last: one feature may imply another (`xop` implies `fma4`), and later entries override earlier ones."""
     missing = ("fma4",) if features.get(_WIDE) else _FUSED
     words = [f"{'+' if on else '-'}{name}" for name, on in sorted(features.items()) if name not in missing]
     return ",".join(words + [f"-{name}" for name in missing if name in features])
 
 
 def object_code(text: str, target: Target) -> bytes:
-    """An object file with the functions of a text. Raises RuntimeError where the text is wrong, which is our mistake."""
+    """Compile a text to an object file. Raises RuntimeError for an invalid text, which is a mistake of ours."""
     with _LOCK:
         machine, module = _passed(text + _WRITTEN, target)
         code: bytes = machine.emit_object(module)
@@ -121,7 +121,7 @@ def object_code(text: str, target: Target) -> bytes:
 
 
 def assembly(text: str, target: Target) -> str:
-    """The same as text of the processor's instructions."""
+    """Compile a text to assembly."""
     with _LOCK:
         machine, module = _passed(text, target)
         found: str = machine.emit_assembly(module)
@@ -129,7 +129,7 @@ def assembly(text: str, target: Target) -> str:
 
 
 def _passed(text: str, target: Target) -> tuple[Any, Any]:
-    """What makes code, and the functions of a text as it gets them."""
+    """Return the code generator, and the functions of a text after the passes."""
     llvm = _llvm()
     machine = _machine(target)
     module = llvm.parse_assembly(text)
@@ -164,7 +164,7 @@ def _machine(target: Target) -> Any:
 
 @dataclass(slots=True)
 class Code:
-    """Functions that can be called, with what keeps them in memory."""
+    """Functions that can be called, with the objects that keep them in memory."""
 
     _engine: Any
     _functions: dict[str, Any] = field(default_factory=dict)
@@ -173,7 +173,7 @@ class Code:
         """A function of (table of pointers, first row, row after the last)."""
         if name not in self._functions:
             made = ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_int64, ctypes.c_int64)(self.place(name))
-            made.code = self._engine  # type: ignore[attr-defined]  # whoever has the function has its code
+            made.code = self._engine  # type: ignore[attr-defined] # the function holds its code
             self._functions[name] = made
         return self._functions[name]
 
@@ -187,17 +187,17 @@ class Code:
         return ctypes.string_at(self.constant(name)).decode("utf-8", "surrogateescape")
 
     def constant(self, name: str) -> int:
-        """The address of a constant, or of another word that is no function."""
+        """Return the address of a constant, or of another symbol that is not a function."""
         found: int = self._engine.get_global_value_address(name)
         return found
 
 
 def load(code: bytes) -> Code:
-    """Put an object file into memory, ready to run.
+    """Load an object file into memory, ready to run.
 
-    Code and constants lie in one piece (`use_lmm`): code names its constants by 32 bits from where it stands, and pieces of their
-    own may lie further apart in a process with gigabytes of arrays, where LLVM ends the process. LLVM takes the file for the code
-    of an empty text, which it would compile otherwise: that takes three times as long as all the rest."""
+    Code and constants are in one block (`use_lmm`): code refers to its constants by 32-bit offsets. In a process with gigabytes
+    of arrays, separate blocks may be further apart, and then LLVM ends the process. LLVM receives the file as the code of an
+    empty text. Otherwise it would compile that text, which takes three times as long as everything else."""
     llvm = _llvm()
     with _LOCK:
         loader = llvm.Target.from_triple(host().triple).create_target_machine(opt=0, reloc="pic", codemodel="default")

@@ -16,7 +16,7 @@ _place_of = ctypes.addressof
 
 
 def roomy(array: NDArray[Any]) -> NDArray[Any]:
-    """A copy with eight spare rows behind it, zeros."""
+    """Return a copy followed by eight spare rows of zeros."""
     whole = np.zeros((len(array) + WIDTH, *array.shape[1:]), array.dtype)
     whole[: len(array)] = array
     found: NDArray[Any] = whole[: len(array)]
@@ -24,14 +24,14 @@ def roomy(array: NDArray[Any]) -> NDArray[Any]:
 
 
 def roomy_rows(array: NDArray[Any], rows: NDArray[np.intp]) -> NDArray[Any]:
-    """Some of the numbers of an array [n], with eight spare ones behind them, zeros."""
+    """Return the selected numbers of an array [n], followed by eight spare zeros."""
     found = roomy_space(len(rows), array.dtype)
     array.take(rows, out=found, mode="clip")
     return found
 
 
 def roomy_space(count: int, dtype: np.dtype[Any]) -> NDArray[Any]:
-    """An array [count] of no values yet, with eight spare zeros behind it."""
+    """Return an uninitialised array [count], followed by eight spare zeros."""
     whole = np.empty(count + WIDTH, dtype)
     whole[count:] = 0
     found: NDArray[Any] = whole[:count]
@@ -39,7 +39,7 @@ def roomy_space(count: int, dtype: np.dtype[Any]) -> NDArray[Any]:
 
 
 def has_room(array: NDArray[Any]) -> bool:
-    """Whether an array is the beginning of one with eight more."""
+    """Return whether an array is the start of one with eight more rows."""
     whole = array.base
     if not isinstance(whole, np.ndarray) or whole.ndim != 1 or whole.dtype != array.dtype or not array.flags.c_contiguous:
         return False
@@ -47,7 +47,7 @@ def has_room(array: NDArray[Any]) -> bool:
 
 
 def address(array: NDArray[Any]) -> int:
-    """Where an array begins in memory. ValueError where it does not lie in one piece."""
+    """Return the start address of an array. Raises ValueError where it is not contiguous."""
     try:
         return _place_of(_of_buffer(array))  # a third of the time of `array.ctypes.data`
     except (TypeError, ValueError):  # read-only, empty, or not in one piece
@@ -59,13 +59,13 @@ def address(array: NDArray[Any]) -> int:
 
 
 class Addresses:
-    """Addresses of arrays by what they hold, looked up anew where it is another array."""
+    """Addresses of arrays by key, looked up again where it is another array."""
 
     def __init__(self) -> None:
         self._known: dict[Any, tuple[NDArray[Any], int]] = {}
 
     def of(self, key: Any, array: NDArray[Any], check: Callable[[NDArray[Any]], None] | None = None) -> int:
-        """The address of the array that stands for a key; one that is new is checked."""
+        """Return the address of the array for a key; a new array is checked."""
         known = self._known.get(key)
         if known is None or known[0] is not array:
             if check is not None:
@@ -74,5 +74,5 @@ class Addresses:
         return known[1]
 
     def forget(self, key: Any) -> None:
-        """Let go of the array that stands for a key, if there is one."""
+        """Remove the array for a key, if there is one."""
         self._known.pop(key, None)

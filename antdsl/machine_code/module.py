@@ -13,7 +13,7 @@ _NAMED = re.compile(r"@[\w.]+")
 
 
 class Module:
-    """Texts of functions by their names, and declarations of what they call of LLVM."""
+    """Texts of functions by name, and declarations of the LLVM functions that they call."""
 
     def __init__(self, target: Target) -> None:
         self.target = target

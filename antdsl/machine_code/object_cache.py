@@ -1,8 +1,8 @@
-"""Results that are stored from run to run: key → bytes, from memory or a folder. Above all the object files that LLVM made.
+"""Results that are stored from run to run: key → bytes, from memory or a folder. Mainly the object files that LLVM made.
 
-What lies in the folder is run, or read by code that trusts it, so each file begins with a signature that only this user's antdsl
-can make on this machine (`signing`). A file without a valid one is never used, whoever wrote it and wherever the folder is: it is
-removed and the result computed again. Where no key or folder can be had, code stays in memory and `messages` says why. Nothing is
+Files in the folder are run, or read by code that trusts them. So each begins with a signature that only this user's antdsl can
+make on this machine (`signing`). A file without a valid one is never used, wherever it comes from and wherever the folder is. It
+is removed and the result computed again. Without a key or folder, code stays in memory and `messages` says why. Nothing is
 raised, whatever the file system does."""
 
 from __future__ import annotations
@@ -42,7 +42,8 @@ ABI_VERSION: Final = "1"  # of calls: another number where code finds its argume
 
 
 class Kind(NamedTuple):
-    """What a store holds: its folder in that of antdsl, the variable that names another, the ending of its files, and words."""
+    """Kind of a cache: its folder in that of antdsl, the environment variable that overrides it, the suffix of its files, and
+    words for messages."""
 
     folder: str
     variable: str
@@ -69,8 +70,8 @@ CODE: Final = Kind(
 
 
 def key(text: str, target: Target, *, versions: tuple[str, ...]) -> str:
-    """What stands for the object file made from a text for a target: 64 hexadecimal digits. `versions`: what `versions()` gives.
-    The layout of data follows from the triple and LLVM's version."""
+    """Return the key of the object file for a text and a target: 64 hexadecimal digits. `versions` is the result of `versions()`.
+    The data layout follows from the triple and LLVM's version."""
     hashed = blake2b(digest_size=32)
     for part in (text, target.triple, target.cpu, target.features, *versions):
         data = part.encode("utf-8", "surrogatepass")
@@ -81,7 +82,8 @@ def key(text: str, target: Target, *, versions: tuple[str, ...]) -> str:
 
 @cache
 def code_versions() -> tuple[str, ...]:
-    """What the object file of a text depends on, apart from the target: texts, calls, passes and LLVM. Imports llvmlite."""
+    """Return the versions that an object file depends on, apart from the target: texts, calls, passes and LLVM. Imports
+    llvmlite."""
     import llvmlite.binding as llvm
 
     from antdsl.machine_code import machine
@@ -95,7 +97,7 @@ def code_versions() -> tuple[str, ...]:
 
 @cache
 def versions() -> tuple[str, ...]:
-    """The same, and what else may change what a text is or how it is compiled: antdsl, llvmlite, Python and NumPy."""
+    """Return the code versions, and others that may change a text or its compilation: antdsl, llvmlite, Python and NumPy."""
     import llvmlite
     import numpy as np
 
@@ -106,11 +108,13 @@ def versions() -> tuple[str, ...]:
 
 
 class ObjectCache:
-    """`folder`: None for the one that the variable of its `kind` names (none at all where that is empty), or else that of the
-    kind in the user's cache folder. `cap`: bytes of all files in it, of which those go first that were used longest ago;
-    `largest`: bytes of one result. `messages`: sentences for the user on why something is not stored or was not used, each once.
-    May be used by several threads, and a folder by several processes and users: files are put in place atomically, and no user
-    finds the names of another."""
+    """Object files in a folder, found by key. Safe for several threads; a folder may be shared by several processes and users.
+    Files are written atomically, and no user finds the names of another.
+
+    `folder`: None means the folder in the environment variable of its `kind`, or no folder if that is empty. Without the
+    variable, it is the kind's folder in the user's cache folder. `cap`: bytes of all files in it; the least recently used are
+    removed first. `largest`: bytes of one result. `messages`: sentences for the user on why something is not stored or was not
+    used, each once."""
 
     def __init__(self, folder: Path | None = None, *, kind: Kind = CODE, cap: int = CAP, largest: int | None = None) -> None:
         self.messages: list[str] = []
@@ -135,7 +139,7 @@ class ObjectCache:
             self._folder = None
 
     def get(self, key: str) -> bytes | None:
-        """The object file of a key of `key`, or None. ValueError for what is no key."""
+        """Return the object file of a key of `key`, or None. Raises ValueError for an invalid key."""
         _require_key(key)
         with self._lock:
             if key in self._memory:
@@ -145,7 +149,7 @@ class ObjectCache:
         return None if self._folder is None or signer is None else self._read(self._folder, signer, key)
 
     def put(self, key: str, code: bytes) -> None:
-        """Store an object file, in memory where that is the only place. ValueError for what is no key."""
+        """Store an object file, in memory where no folder is available. Raises ValueError for an invalid key."""
         _require_key(key)
         signer = self._signer_of(create=True)
         if self._folder is None or signer is None or not self._write(self._folder, signer, key, code):
@@ -156,12 +160,12 @@ class ObjectCache:
                     self._memory.popitem(last=False)
 
     def prepare(self) -> None:
-        """Create what storing needs, the user's key and the folder, so that `messages` says what is in the way."""
+        """Create the user's key and the folder, so that `messages` reports obstacles."""
         if self._signer_of(create=True) is not None and self._folder is not None:
             self._make(self._folder)
 
     def _signer_of(self, *, create: bool) -> signing.Signer | None:
-        """The user's signer, read once; where there can be none, the folder is not asked again."""
+        """Return the user's signer, read once. Where there can be none, the folder is not tried again."""
         folder = self._folder
         if self._signer is None and folder is not None:
             try:
@@ -173,7 +177,7 @@ class ObjectCache:
         return self._signer
 
     def _read(self, folder: Path, signer: signing.Signer, key: str) -> bytes | None:
-        """The code of a file; None where there is none, or it is not to be used, which is reported."""
+        """Return the code in a file; None where there is none, or where it cannot be trusted, which is reported."""
         path = folder / (signer.name(key) + self._kind.ending)
         try:
             handle = open_regular(path, follow=False)
@@ -193,7 +197,7 @@ class ObjectCache:
         return code
 
     def _write(self, folder: Path, signer: signing.Signer, key: str, code: bytes) -> bool:
-        """Whether code was put into the folder; what keeps it out is reported."""
+        """Store code in the folder and return whether that succeeded; a failure is reported."""
         data = signer.sign(key, code) + code
         if len(code) > self._largest or len(data) > self._cap:
             self._report_not_stored(folder, f"{len(code):,} bytes of {self._kind.unit} are too many", self._kind.again)
@@ -210,7 +214,7 @@ class ObjectCache:
         return True
 
     def _make(self, folder: Path) -> bool:
-        """Whether the folder is there, created if need be; what is in the way is reported."""
+        """Create the folder if necessary and return whether it exists; a failure is reported."""
         try:
             os.makedirs(folder, 0o700, exist_ok=True)
         except (OSError, ValueError) as problem:
@@ -223,7 +227,7 @@ class ObjectCache:
         return f"{'make room there, or ' if full else ''}name another folder in {self._kind.variable}"
 
     def _refuse(self, path: Path, why: str) -> None:
-        """Report a file that is not used, and remove it. A link is removed, what it leads to is not."""
+        """Report a file that is not used, and remove it. For a link, the link is removed, not its target."""
         with suppress(OSError, ValueError):
             os.unlink(path)
         kind = self._kind
@@ -239,8 +243,10 @@ class ObjectCache:
 
 
 def _make_room(folder: Path, cap: int, keep: str) -> None:
-    """Remove what was used longest ago until at most `cap` bytes are left, and what runs that were killed left behind. Files of
-    other names stay; what another run removes meanwhile, or another user's in a shared folder, is passed over."""
+    """Remove the least recently used files until at most `cap` bytes are left, and leftovers of killed runs.
+
+    Files with other names stay. Files that another run removes meanwhile, or that belong to another user of a shared folder, are
+    skipped."""
     stored_name = re.compile(f"[0-9a-f]{{64}}{re.escape(Path(keep).suffix)}")
     found: list[tuple[int, str, int]] = []
     with os.scandir(folder) as entries:

@@ -48,7 +48,8 @@ TARGETS: Final[Mapping[str, Target]] = {
 
 @cache
 def target_name(host: Target) -> str | None:
-    """The name of the target whose code runs on a processor and gives the bits of its own code; None where there is none."""
+    """Return the name of the target with code that runs on a processor with the same bits as native code; None if there is
+    none."""
     if "linux" not in host.triple:
         return None
     present = _present(host)
@@ -64,12 +65,12 @@ def _present(target: Target) -> set[str]:
 
 
 def key(named: str, target: Target) -> str:
-    """The key of the object file for a text, or for what stands for it, and a target."""
+    """Return the key of the object file for a text, or for its name, and a target."""
     return object_cache.key(named, target, versions=object_cache.code_versions())
 
 
 def find(named: str, host: Target) -> bytes | None:
-    """The object file for a text, or for what stands for it, on this processor; None where the installation has none."""
+    """Return the object file for a text, or for its name, on this processor; None where the installation has none."""
     name = target_name(host)
     return None if name is None else _opened(FOLDER, name).get(key(named, TARGETS[name]))
 
@@ -85,7 +86,7 @@ def messages() -> list[str]:
 
 
 def forget() -> None:
-    """Open the files again when one is needed, as in a process that begins."""
+    """Close the files, so that they are opened again when needed."""
     global _damaged
     _damaged = None
     _opened.cache_clear()

@@ -1,7 +1,7 @@
-"""Signs stored machine code with a secret key of the user, so that code that anything else wrote is never run.
+"""Signatures of stored machine code with a secret key of the user, so that code from any other source is never run.
 
-The key is 32 random bytes in a file that only the user may read, below the home folder of the password database. What signs is
-derived from it, the user's number and the machine's, so that a copied key and cache are of no use elsewhere."""
+The key is 32 random bytes in a file that only the user may read, below the home folder in the password database. The signing key
+is derived from it, the user's number and the machine's. So a copied key and cache are useless elsewhere."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ class Signer:
         self._key = blake2b(f"{user}\n{machine_id()}".encode(), key=secret, person=b"antdsl code").digest()
 
     def name(self, key: str) -> str:
-        """The file name for a key: 64 hexadecimal digits, others for another user or machine."""
+        """Return the file name for a key: 64 hexadecimal digits, different for each user and machine."""
         return blake2b(key.encode(), key=self._key, digest_size=32, person=b"name").hexdigest()
 
     def sign(self, key: str, data: bytes) -> bytes:
@@ -44,18 +44,20 @@ class Signer:
         return hashed.digest()
 
     def is_signed(self, key: str, data: bytes, signature: bytes) -> bool:
-        """Whether `sign` gave this signature; takes the same time wherever they differ."""
+        """Return whether `sign` produced this signature, in constant time."""
         return compare_digest(self.sign(key, data), signature)
 
 
 def key_file() -> Path:
-    """Where the key lies. OSError where there is no home folder."""
+    """Return the path of the key. Raises OSError where there is no home folder."""
     return cache_folder() / "antdsl" / "key"
 
 
 def signer(*, create: bool) -> Signer | None:
-    """The signer of this user; None where there is no usable key and `create` is false. With it, a key is created, and one that
-    others may know, or of another length, is replaced. OSError says why there can be none."""
+    """Return the signer of this user; None where there is no usable key and `create` is false.
+
+    With `create`, a missing key is created, and a key that others may know, or of another length, is replaced. OSError says why
+    no key is possible."""
     path = key_file()
     for attempt in range(_ATTEMPTS):
         try:
@@ -90,7 +92,7 @@ def _has_two_names(path: Path) -> bool:
 
 @cache
 def machine_id() -> str:
-    """What tells this machine from others and stays the same when it is started again; empty where the system has nothing."""
+    """Return an identifier of this machine that survives a restart; empty where the system has none."""
     if sys.platform == "win32":
         import winreg
 

@@ -1,12 +1,12 @@
 """A job on several threads, as text in LLVM's language: workers wait for one without holding the interpreter's lock.
 
-A job is so many parts, and whoever is free takes the next: one word, `left`, says how many there are (its low half, which counts
-down to 0) and which is the first of them (its high half), and is changed atomically. Who asks takes the first part, a worker the
-last one: so each thread mostly has the same agents before it in one job after another, and finds in its cache what it has written
-of them. What tells of a job is written before `left` is raised, and no other job comes before `done` has counted all of its
-parts: whoever has taken a part may read it. A worker looks at `left` for some turns, then sleeps on a lock of its own (CPython's,
-which need no interpreter). Who wakes a sleeper has lowered its flag first, so that each lock is released once for each time that
-it is waited for. To wake one takes longer than all else: the one who asks wakes the first worker, and each of them two more."""
+A job has a number of parts, and any free thread takes the next. One word, `left`, holds how many there are (its low half, which
+counts down to 0) and the first of them (its high half). It changes atomically. The caller takes the first part, a worker the last
+one. So each thread mostly has the same agents in one job after another, and finds in its cache what it has written of them. The
+description of a job is written before `left` is raised. No other job comes before `done` has counted all of its parts, so a
+thread that has taken a part may read it. A worker polls `left` for some turns, then sleeps on a separate lock (CPython's, which
+need no interpreter). A thread that wakes a sleeper lowers its flag first, so that each lock is released once for each wait. A
+wake-up takes longer than all else: the caller wakes the first worker, and each of them two more."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from antdsl.machine_code import machine
 from antdsl.machine_code.kernels.direct_text import GIVEN, PARTS, RESULTS, WORDS
 from antdsl.machine_code.library import library_text
 
-LINE = 8  # words of a line of the processor's memory: what several threads write to lies in lines of its own
+LINE = 8  # words of a cache line: values that several threads write to have separate lines
 # Places in a pool's words. `left` and `done` of a job; `waits`: whether the one who asks sleeps.
 LEFT, DONE, WAITS = 0, LINE, 2 * LINE
 # The job: its code, its table or list, the words of a table, its parts, and the numbers of which each part takes some.
@@ -30,11 +30,13 @@ EVEN = 16  # parts of a kernel begin at multiples of it: at whole registers, and
 
 @cache
 def code() -> machine.Code:
-    """`run(pool, code, table, words, parts)` does a job together with the workers: a kernel's code for numbers from 0 to the last
-    word of its table, where the last two words are to say where a part begins and ends. Other jobs are written down before: their
-    table lists the three words that code is called with for each part. `all(pool, 0, 0)` does one; `start(pool, 0, 0)` has the
-    workers begin with one, and `finish(pool, 0, 0)` takes back the parts that nobody has, and waits for the rest.
-    `worker(pool, its number, 0)` comes back once `end(pool, 0, 0)` has been called; `turns(pool, count, 0)` waits so many."""
+    """Return the code of the workers' functions.
+
+    `run(pool, code, table, words, parts)` does a job together with the workers: a kernel's code for numbers from 0 to the last
+    word of its table. The last two words of the table say where a part begins and ends. Other jobs are prepared before: their
+    table lists the three words of the call for each part. `all(pool, 0, 0)` does one. `start(pool, 0, 0)` lets the workers begin
+    with one. `finish(pool, 0, 0)` takes back the parts that are still free, and waits for the rest. `worker(pool, its number, 0)`
+    returns once `end(pool, 0, 0)` has been called. `turns(pool, count, 0)` waits for `count` turns."""
     return text.code()
 
 

@@ -1,11 +1,11 @@
 """CRC-32, as zip files and `zlib` have it, by products without carry where the processor has them.
 
 The method is that of V. Gopal, E. Ozturk, J. Guilford, G. Wolrich, W. Feghali, M. Dixon, D. Karakoyunlu, Fast CRC Computation for
-Generic Polynomials Using PCLMULQDQ Instruction, Intel 2009: what has been read is kept as four registers with the same remainder
-as all of it. To go on by so many bits, each half of 16 bytes of them is multiplied by the remainder of x to that power. What is
-left in the end, 16 bytes and fewer than 16 more, goes byte by byte by a table. A register has 16 bytes, or 64 where the products
-of as many are made at once (VPCLMULQDQ) and registers of that width slow nothing down (`machine`), which is almost three times as
-fast."""
+Generic Polynomials Using PCLMULQDQ Instruction, Intel 2009. The data so far is represented by four registers with the same
+remainder. To advance by a number of bits, each half of 16 bytes of them is multiplied by the remainder of x to that power. The
+rest at the end, 16 bytes and fewer than 16 more, goes byte by byte by a table. A register has 16 bytes. It has 64 where the
+products of as many are made at once (VPCLMULQDQ) and registers of that width slow nothing down (`machine`). This is almost three
+times as fast."""
 
 from __future__ import annotations
 
@@ -37,7 +37,8 @@ _FEATURE, _WIDE = "+pclmul", ("+vpclmulqdq", "+avx512vbmi2")  # as LLVM names th
 
 
 def crc32(data: bytes | memoryview, before: int = 0) -> int:
-    """The CRC-32 of `data`; with `before`, that of what comes before them, of both together. `data`: bytes in one piece."""
+    """Return the CRC-32 of `data` (contiguous bytes). With `before`, the CRC-32 of the preceding bytes, return that of both
+    together."""
     data = memoryview(data).cast("B")
     if len(data) < LEAST:
         return zlib.crc32(data, before)
@@ -47,8 +48,8 @@ def crc32(data: bytes | memoryview, before: int = 0) -> int:
 
 @cache
 def _fold() -> Callable[[NDArray[np.uint8], int], int] | None:
-    """The CRC-32 of an array [n], one stride or more, after what has one; None where the processor has no products without
-    carry, or nothing compiles."""
+    """Return a function that continues a CRC-32 over an array [n] of at least one stride. None where the processor has no
+    carry-less products, or nothing can be compiled."""
     if not machine.available():
         return None
     target = machine.host()
@@ -68,18 +69,18 @@ def _fold() -> Callable[[NDArray[np.uint8], int], int] | None:
 
 
 def has_products(target: machine.Target) -> bool:
-    """Whether a processor has products without carry."""
+    """Return whether a processor has carry-less products."""
     return target.x86 and _FEATURE in target.features.split(",")
 
 
 def blocks(target: machine.Target) -> int:
-    """How many blocks a register has that products are made of at once."""
+    """Return the number of blocks in a register that are multiplied at once."""
     return 4 if set(_WIDE) <= set(target.features.split(",")) else 1
 
 
 def _power(bits: int) -> int:
-    """The remainder of x to a power by the polynomial, as it is multiplied by: its bits in the order in which bytes have them,
-    and one further."""
+    """Return the remainder of x**bits by the polynomial, in the form for multiplication: bits in the order of the bytes, shifted
+    by one."""
     found = 1
     for _ in range(bits):
         found <<= 1
@@ -99,8 +100,11 @@ def _table() -> str:
 
 @library_text
 def text(target: machine.Target) -> str:
-    """What is compiled, in LLVM's language: a function of a table with an address, a number of bytes (one stride or more) and the
-    CRC-32 before them, which puts that of all into its first word. Empty where the processor has no products without carry."""
+    """Return the compiled text in LLVM's language: a function of a table with an address, a byte count (at least one stride) and
+    the CRC-32 of the preceding bytes.
+
+    The function stores the combined CRC-32 in the first word of the table. The text is empty where the processor has no
+    carry-less products."""
     if not has_products(target):
         return ""
     module, many = Module(target), blocks(target)
@@ -121,7 +125,7 @@ def text(target: machine.Target) -> str:
         return put(f"load {wide}, ptr {where}, align 1")
 
     def moved(kept: str, bits: int, onto: str, count: int) -> str:
-        """What is kept in so many blocks, so many bits further on, together with what stands there."""
+        """Return the state in `count` blocks, advanced by `bits`, combined with the data `onto`."""
         kind, ending = kinds[count]
         by = f"{kind} <" + ", ".join([f"i64 {_power(bits + 32)}, i64 {_power(bits - 32)}"] * count) + ">"
         call = f"call {kind} @llvm.x86.pclmulqdq{ending}({kind} {kept}, {by}, i8"
@@ -129,9 +133,9 @@ def text(target: machine.Target) -> str:
         return put(f"xor {kind} {put(f'xor {kind} {low}, {high}')}, {onto}")
 
     def going_on(label: str, before: str, first: Sequence[str], step: int, turn: Callable[[str, str], str]) -> tuple[str, str]:
-        """A loop while there are `step` more bytes, behind the block `before`. `first`: the place that it begins at, and the type
-        and the value of what is kept, which `turn` makes anew from that value and the address of bytes. The place and the value
-        behind the loop."""
+        """Write a loop while there are `step` more bytes, behind the block `before`. `first`: the first position, and the type
+        and value of the state. `turn` computes the next state from a state and the address of bytes. Return the position and the
+        state behind the loop."""
         kind = first[1]
         lines.append(f"  br label %{label}\n{label}:")
         lines.append(f"  %{label}.at = phi i64 [ {first[0]}, %{before} ], [ %{label}.next, %{label}.turn ]")

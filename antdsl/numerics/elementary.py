@@ -54,7 +54,7 @@ def _quarter_turns(x: Value) -> tuple[Value, Value]:
 
 
 def _waves(x: Value) -> tuple[Value, Value, Value]:
-    """Sine and cosine of what is left of the angle, and its quarter turns."""
+    """Return the sine and cosine of the reduced angle, and its quarter turns."""
     rest, quarter = _quarter_turns(x)
     square = rest * rest
     return rest * _series(square, SIN), _series(square, COS), quarter
@@ -126,7 +126,8 @@ def log(x: Value) -> Value:
 
 
 def power(a: Value, b: Value) -> Value:
-    """a to the b. A negative a has whole-number powers only (else NaN); anything to the 0 is 1, and 1 to anything."""
+    """Return a to the power b. For a negative a, b must be an integer (else NaN). Anything to the 0 is 1, and 1 to anything is
+    1."""
     wide_a, wide_b = _widen(a), _widen(b)
     value = _exp_wide(wide_b * _log_wide(np.abs(wide_a)))
     whole = np.floor(wide_b) == wide_b
@@ -165,12 +166,13 @@ def _narrow(x: Value) -> Value:
 
 @lru_cache(1024)
 def _alone(wide: Callable[[Value], Value], number: bytes) -> Value:
-    """A function of one float64, told by its bytes for the sake of -0: most are the same in every step."""
+    """Return the cached value of a function of one float64. The key is the bytes of the number, to distinguish -0: most numbers
+    are the same in every step."""
     return _narrow(wide(np.frombuffer(number)[0]))
 
 
 def _by_kernel(loop: str, *values: Value) -> Value | None:
-    """The same for arrays by a kernel; None where there is none for such values, or one is no usual number."""
+    """Compute the function for arrays by a kernel; None where no kernel takes such values, or where a value is special."""
     one = values[0]
     if not all(isinstance(v, np.ndarray) and v.dtype == np.float32 and v.ndim == 1 and v.size == one.size for v in values):
         return None

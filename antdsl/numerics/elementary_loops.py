@@ -99,7 +99,7 @@ def cosines(x: Array1[F32], found: Array1[F32]) -> BOOL:
 
 @kernel
 def angles(y: Array1[F32], x: Array1[F32], found: Array1[F32]) -> BOOL:
-    """Writes `kernels.atan2` of all; False where a number is not finite."""
+    """Write `kernels.atan2` of all numbers; return False where one is not finite."""
     if not (_usual(y, -np.inf, np.inf) and _usual(x, -np.inf, np.inf)):
         return False
     for k in independent(0, x.size):
@@ -109,7 +109,7 @@ def angles(y: Array1[F32], x: Array1[F32], found: Array1[F32]) -> BOOL:
 
 @kernel
 def exponentials(x: Array1[F32], found: Array1[F32]) -> BOOL:
-    """Writes `elementary.exp` of all; False where one is no number."""
+    """Write `elementary.exp` of all numbers; return False where one is NaN."""
     for k in range(x.size):
         if x[k] != x[k]:
             return False

@@ -1,7 +1,6 @@
 """The elementwise operations of the plan for float32 arrays and for single float32 alike: one table, both backends.
 
-Only operations whose result IEEE 754 fixes to the last bit, and our own kernels.
-"""
+Only operations with a result that IEEE 754 fixes to the last bit, and our own kernels."""
 
 from __future__ import annotations
 
@@ -17,7 +16,7 @@ ZERO = np.float32(0)
 
 
 def least(a: Value, b: Value) -> Value:
-    """The lesser; the other one where one is NaN. -0 becomes 0, since `fmin` may give either of the two zeros."""
+    """Return the lesser number; the other one where one is NaN. -0 becomes 0, since `fmin` may return either zero."""
     return np.fmin(a, b) + ZERO
 
 

@@ -39,7 +39,8 @@ def sums(index: NDArray[np.integer[Any]], terms: NDArray[np.float32], quantum: i
 def _sums_in_two_words(
     index: NDArray[np.integer[Any]], wide: NDArray[np.float64], quantum: int, length: int
 ) -> NDArray[np.float32]:
-    """Multiples of 2**(quantum + 22) and what is left of each term, added apart: both sums are exact, and theirs rounds once."""
+    """Return sums of the terms in two parts, multiples of 2**(quantum + 22) and the remainders. Both sums are exact, and their
+    total is rounded once."""
     magic = np.ldexp(1.5, quantum + HALF + 52)
     high = (wide + magic) - magic
     low = np.bincount(index, weights=wide - high, minlength=length)

@@ -1,5 +1,5 @@
-"""How a thread's processor works with floats: a host may have it round otherwise than to nearest, or flush denormal numbers to
-zero, and a thread has that from the one that began it. What is worked out within `standard` does not depend on it."""
+"""The floating-point environment of a thread: a host may change the rounding from nearest, or flush denormal numbers to zero. A
+thread inherits this from the thread that starts it. Results that are computed within `standard` do not depend on it."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from contextlib import contextmanager
 from functools import cache
 from typing import Any
 
-_ONE, _HALF, _ULP, _LEAST = 1.0, 0.5, 2.0**-53, 2.0**-1022  # read when asked: a constant would be worked out beforehand
+_ONE, _HALF, _ULP, _LEAST = 1.0, 0.5, 2.0**-53, 2.0**-1022  # read at run time: a constant would be folded beforehand
 _ROOM = 256  # bytes; more than any C library keeps of it
 
 
@@ -19,15 +19,16 @@ def is_standard() -> bool:
 
 
 def be_standard() -> None:
-    """Have this thread work as the standard says from now on: for threads of one's own. Where the C library has no way it
-    stays as it is."""
+    """Set the standard float environment for this thread, permanently: for threads that we own. Without support in the C library,
+    nothing changes."""
     if not is_standard() and (library := _library()) is not None:
         library.fesetenv(_usual())
 
 
 @contextmanager
 def standard() -> Iterator[None]:
-    """Work as the standard says within, and as before after it. Costs about a microsecond where nothing has to be changed."""
+    """Use the standard float environment within the context, and restore the old one afterwards. This costs about a microsecond
+    where nothing has to change."""
     library = None if is_standard() else _library()
     if library is None:
         yield

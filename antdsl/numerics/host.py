@@ -21,8 +21,8 @@ EACH = 4  # parts of machine code for each of several threads: who comes late, o
 
 @cache
 def cores() -> int:
-    """How many threads may run at once here: no more than the cores that this process may run on, and than what its control group
-    (that of a container, say) may use of them, rounded up."""
+    """Return how many threads may run at once here: limited by the cores available to this process and by its control group (for
+    instance of a container), rounded up."""
     there = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     try:
         own = OWN.read_text(encoding="utf-8", errors="surrogateescape")
@@ -32,10 +32,10 @@ def cores() -> int:
 
 
 def allowed(own: str, groups: Path) -> Iterator[float]:
-    """How many cores' time the control groups of a process may use: its own, and those around it, as far as they have a limit.
+    """Yield the core limits of a process's control groups, its own and the enclosing ones, where they have one.
 
-    `own`: what Linux tells of the process's groups, a line `number:controllers:path` each; `groups`: the folder that all are in
-    (Linux kernel documentation, Control Group v2, `cpu.max`; CFS Bandwidth Control, of the first version)."""
+    `own`: Linux's list of the process's groups, one line `number:controllers:path` each; `groups`: the folder of all groups
+    (Linux kernel documentation, Control Group v2, `cpu.max`; CFS Bandwidth Control, for version 1)."""
     for folder, is_first in group_folders(own, groups, "cpu"):
         with suppress(OSError, ValueError):
             quota, period = _first(folder) if is_first else _second(folder)
@@ -54,9 +54,10 @@ def _second(folder: Path) -> tuple[int, int]:
 
 
 def group_folders(own: str, groups: Path, controller: str) -> Iterator[tuple[Path, bool]]:
-    """Folders of the groups that a controller limits a process by, and whether they are of the first version of control groups.
+    """Yield the folders of the groups in which a controller limits a process, and whether they are of version 1 of control
+    groups.
 
-    `own`: what Linux says of the process's groups, a line `number:controllers:path` each. `groups`: the folder of all groups."""
+    `own`: Linux's list of the process's groups, one line `number:controllers:path` each. `groups`: the folder of all groups."""
     for line in own.splitlines():
         controllers, _, path = line.partition(":")[2].partition(":")
         if controllers and controller not in controllers.split(","):
@@ -68,7 +69,7 @@ def group_folders(own: str, groups: Path, controller: str) -> Iterator[tuple[Pat
 
 
 def address_space() -> float:
-    """Bytes of address space that this process, and each one that it starts, may have; infinite without a limit."""
+    """Return the address space limit in bytes of this process, and of each process that it starts; infinite without a limit."""
     try:
         import resource
     except ImportError:  # Windows
@@ -78,8 +79,8 @@ def address_space() -> float:
 
 
 def available_memory() -> int | None:
-    """Bytes that this process can still have without swapping, its control groups' limits included; None where the system does
-    not say, as on others than Linux."""
+    """Return the bytes that this process can still allocate without swapping, within the limits of its control groups; None where
+    the system does not report it (other than Linux)."""
     found: list[int] = []
     with suppress(OSError, ValueError, StopIteration):
         lines = _SYSTEM.read_text(encoding="ascii", errors="replace").splitlines()
@@ -90,8 +91,8 @@ def available_memory() -> int | None:
 
 
 def left(own: str, groups: Path) -> Iterator[int]:
-    """Bytes that each control group with a limit has left; `own` and `groups` as `group_folders` has them. Files that the
-    system keeps in memory count as free, since it drops them when it has to."""
+    """Yield the bytes left in each control group with a limit; `own` and `groups` as in `group_folders`. Cached files count as
+    free, since the system drops them when necessary."""
     for folder, is_first in group_folders(own, groups, "memory"):
         names = ("memory.limit_in_bytes", "memory.usage_in_bytes") if is_first else ("memory.max", "memory.current")
         with suppress(OSError, ValueError):  # a limit of `max` is none
@@ -105,7 +106,7 @@ def _files(folder: Path) -> int:
 
 
 def peak_memory() -> int:
-    """The most memory that this process has used at once, in bytes; 0 where the system does not say."""
+    """Return the peak memory of this process in bytes; 0 where the system does not report it."""
     try:
         import resource
     except ImportError:
@@ -115,8 +116,8 @@ def peak_memory() -> int:
 
 
 def memory() -> tuple[int, int]:
-    """What this process uses now, and the most that it has used since it was started, in bytes. Where the system tells the most
-    alone, that twice: it may be that of the process which started this one."""
+    """Return the current and the peak memory of this process in bytes. Where the system reports only the peak, both are the peak;
+    it may be that of the parent process."""
     try:
         whole = _kilobytes(_PROCESS / "status")
         return 1024 * whole["VmRSS"], 1024 * whole["VmHWM"]

@@ -16,7 +16,7 @@ AnyVec3 = tuple[Any, Any, Any]  # of either float type
 
 
 class Pose(NamedTuple):
-    """How an agent is in space: unit vectors up, ahead and along its path."""
+    """The orientation of an agent: unit vectors up, ahead and along its path."""
 
     place: Vec3
     up: Vec3
@@ -86,7 +86,7 @@ def across(up: Vec3) -> Vec3:
 
 @inlined
 def direction(v: Vec3, up: Vec3) -> Vec3:
-    """The unit vector along `v`, or one across a unit vector where it has no direction, in float64."""
+    """Return the unit vector along `v` in float64; one perpendicular to `up` where `v` has no direction."""
     size = np.sqrt(dot(v, v))
     if size > _LEAST and np.isfinite(size):
         return times(v, 1 / size)
@@ -107,7 +107,7 @@ def less(a: F64, b: F64) -> F64:
 
 @inlined
 def inside(b1: F64, b2: F64) -> Weights:
-    """Weights moved to the nearest that are of a point of the triangle, against rounding."""
+    """Return the nearest weights of a point in the triangle, to correct rounding."""
     b1, b2 = min(max(b1, 0.0), 1.0), min(max(b2, 0.0), 1.0)
     total = b1 + b2
     if total > 1.0:
@@ -117,7 +117,7 @@ def inside(b1: F64, b2: F64) -> Weights:
 
 @inlined
 def turned(v: Vec3, before: Vec3, after: Vec3, direction: Vec3) -> Vec3:
-    """A vector turned by the least turn that takes one unit normal into another; half a turn goes over `direction`."""
+    """Return a vector rotated by the smallest rotation from one unit normal to another. A half turn rotates over `direction`."""
     cosine = dot(before, after)
     if cosine < -1 + 1e-9:
         hinge = cross(before, direction)
@@ -129,7 +129,7 @@ def turned(v: Vec3, before: Vec3, after: Vec3, direction: Vec3) -> Vec3:
 
 @inlined
 def level(c: F64, s: F64) -> tuple[F64, F64]:
-    """A direction in a face of unit length; along its first axis where nothing is left of it."""
+    """Return a direction in a face as a unit vector; along the first axis where its length is zero."""
     size = np.sqrt(c * c + s * s)
     if size > 1e-9:
         return c / size, s / size
@@ -138,8 +138,8 @@ def level(c: F64, s: F64) -> tuple[F64, F64]:
 
 @inlined
 def nearest(edge1: Vec3, edge2: Vec3, v: Vec3) -> tuple[F64, F64, F64]:
-    """Weights of the point of a triangle nearest to a place `v` from its first corner, and how far off it is: above the inside,
-    else on an edge."""
+    """Return the weights of the triangle's point nearest to `v` (relative to the first corner), and its distance: on the plane
+    inside the triangle, else on an edge."""
     edge3 = minus(edge2, edge1)
     d11, d12, d22, d33 = dot(edge1, edge1), dot(edge1, edge2), dot(edge2, edge2), dot(edge3, edge3)
     w1, w2 = dot(v, edge1), dot(v, edge2)
@@ -181,5 +181,5 @@ def column64(vectors: Strided2[F64], i: I64) -> Vec3:
 
 @inlined
 def rotated(v: Vec3, axis: Vec3, c: F64, s: F64) -> Vec3:
-    """A vector turned about a unit axis by an angle of a cosine and a sine (O. Rodrigues, 1840)."""
+    """Return a vector rotated about a unit axis, by the cosine and sine of the angle (O. Rodrigues, 1840)."""
     return plus(plus(times(v, c), times(cross(axis, v), s)), times(axis, dot(axis, v) * (1.0 - c)))

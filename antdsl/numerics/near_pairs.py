@@ -1,4 +1,4 @@
-"""Which places are near each other: all pairs within a distance, by the cells of a grid. For sets of which few are so near."""
+"""Pairs of points within a distance, found by the cells of a grid. For sets with few such pairs."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ _FORWARD = _AROUND[len(_AROUND) // 2 :]  # each pair of cells once
 
 
 def pairs_within(places: Floats, reach: float) -> tuple[Index, Index]:
-    """Pairs of two places [n,3] that are no farther from each other than `reach`: their numbers, the lower one first."""
+    """Return the pairs of points [n,3] at most `reach` apart: their indices, the lower one first."""
     one, other = _pairs(places, places, reach, _FORWARD)
     return np.minimum(one, other), np.maximum(one, other)
 
 
 def pairs_between(places: Floats, others: Floats, reach: float) -> tuple[Index, Index]:
-    """Pairs of places [n,3] and others [k,3] that are no farther from each other than `reach`: numbers of both."""
+    """Return the pairs of points [n,3] and others [k,3] at most `reach` apart: the indices of both."""
     return _pairs(places, others, reach, _AROUND)
 
 

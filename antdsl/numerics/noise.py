@@ -1,9 +1,8 @@
-"""Gradient noise over place and time: smooth, about 0, and a function of its arguments alone, the same in any frame and row.
+"""Gradient noise over space and time: smooth, with values around 0. It depends on its arguments only, not on frame or row.
 
-Methods: gradients at the points of a lattice and a quintic fade, which makes slope and curvature continuous: K. Perlin, Improving
-noise, SIGGRAPH 2002; in four dimensions, one of them time, with the 32 gradients of his reference code. Random bits of a lattice
-point: `pcg4d`, M. Jarzynski and M. Olano, Hash functions for GPU rendering, JCGT 9(3), 2020.
-"""
+Methods: gradients at lattice points and a quintic fade, which makes slope and curvature continuous: K. Perlin, Improving noise,
+SIGGRAPH 2002; in four dimensions, one of them time, with the 32 gradients of his reference code. Random bits of a lattice point:
+`pcg4d`, M. Jarzynski and M. Olano, Hash functions for GPU rendering, JCGT 9(3), 2020."""
 
 from __future__ import annotations
 
@@ -26,7 +25,7 @@ FAR = 2.0**51  # of lattice points: beyond, a float64 no longer tells places wit
 
 
 def noise(places: Floats, seed: NDArray[np.int64]) -> Floats:
-    """Values in -1 .. 1 at places (4, n), in cells of the lattice; NaN where a place is not finite or too far."""
+    """Return noise values in -1 .. 1 at points (4, n), in lattice cells; NaN where a point is not finite or too far away."""
     sound = (np.abs(places) < FAR).all(axis=0)
     places = np.where(sound, places, 0.0)
     cell = np.floor(places)
@@ -50,7 +49,7 @@ def fade(t: Floats) -> Floats:
 
 
 def _shift(seed: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Where the pattern of a seed begins on the lattice (4, n), which has 2**32 points each way."""
+    """Return the offset (4, n) of a seed's pattern on the lattice, which has 2**32 points along each axis."""
     zero = np.zeros(seed.shape, np.uint32)
     words = np.stack((seed.astype(np.uint32), (seed >> 32).astype(np.uint32), zero, zero))
     return pcg4d(pcg4d(words)).astype(np.int64)

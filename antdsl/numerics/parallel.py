@@ -1,6 +1,6 @@
-"""Runs kernels in parallel parts.
+"""Parallel execution of kernels in parts.
 
-Each part has at least as many agents as pay for a thread. Threads wait in machine code (`workers`)."""
+Each part has at least as many agents as make a thread worthwhile. Threads wait in machine code (`workers`)."""
 
 from __future__ import annotations
 
@@ -14,19 +14,19 @@ from antdsl.machine_code.kernels import I64, inlined
 from antdsl.numerics.host import cores
 
 T = TypeVar("T")
-PART = 1_024  # agents for whom a thread pays
+PART = 1_024  # agents from which a thread pays
 LIGHT = 4_096  # the same, of work that is a few operations each
 
 
 def plain(*arrays: NDArray[Any]) -> tuple[NDArray[Any], ...]:
-    """The same in one piece, as most kernels read them."""
+    """Return the arrays as contiguous ones, which most kernels need."""
     return tuple(np.ascontiguousarray(a) for a in arrays)
 
 
 def in_parts(work: Callable[[int, int], T], count: int, threads: int, least: int = PART) -> list[T]:
-    """`work(begin, end)` over so many agents, in as many parts as pay, of no fewer than `least` each, side by side; what each
-    gave, in order. A kernel (a `partial` of one, whose last two arguments are missing) is handed over in machine code, in more
-    parts than there are threads, to even them out. Who finds the threads at work for another takes all, in one part."""
+    """Call `work(begin, end)` over `count` agents, in parallel in as many parts as pay, of at least `least` each. Return the
+    results in order. A kernel (a `partial` of one without its last two arguments) is passed as machine code, in more parts than
+    there are threads, to even them out. Where the threads are at work for another caller, all is done in one part."""
     if threads < 2 or count < 2 * least or min(threads, cores()) < 2:
         return [work(0, count)]
     from antdsl.numerics import workers
@@ -35,8 +35,8 @@ def in_parts(work: Callable[[int, int], T], count: int, threads: int, least: int
 
 
 def parts(count: int, threads: int, least: int = PART) -> int:
-    """In how many parts `in_parts`, asked the same with 16 for `least` or more, does a kernel at most: of as many rooms each part
-    has one of its own (`own`)."""
+    """Return the most parts of a kernel in `in_parts`, called with the same arguments and a `least` of 16 or more. With as many
+    buffers, each part has its own (`own`)."""
     threads = min(threads, cores())
     if threads < 2 or count < 2 * least:
         return 1
@@ -46,8 +46,8 @@ def parts(count: int, threads: int, least: int = PART) -> int:
 
 
 def joined(parts: Sequence[tuple[int, ...]], *arrays: NDArray[Any]) -> list[NDArray[Any]]:
-    """What parts have written to arrays [.., n], each from where it begins on: `parts` tell of each where that is, and how many
-    it has written."""
+    """Return the written parts of arrays [.., n], joined. `parts` has for each part its start and the number of values it has
+    written."""
     if len(parts) == 1:
         begin, count, *_ = parts[0]
         return [each[..., begin : begin + count] for each in arrays]
@@ -58,8 +58,8 @@ def joined(parts: Sequence[tuple[int, ...]], *arrays: NDArray[Any]) -> list[NDAr
 
 
 def side_by_side(work: Callable[[int], object], threads: int) -> None:
-    """Call `work(0)`, and meanwhile `work(1)` to before `work(threads)` as far as somebody is free for them: each is to take of
-    what there is to do until nothing is left. All have ended then, whatever interrupts it."""
+    """Call `work(0)`, and in parallel `work(1)` to before `work(threads)` as far as threads are free. Each takes work until
+    nothing is left. All have ended on return, whatever interrupts it."""
     threads = min(threads, cores())
     if threads < 2:
         work(0)
@@ -70,7 +70,7 @@ def side_by_side(work: Callable[[int], object], threads: int) -> None:
 
 
 def listed(function: Callable[[int, int, int], None], parts: NDArray[np.int64], threads: int) -> None:
-    """Call a function of machine code with each row of `parts` [k,3]: address, begin, end; side by side."""
+    """Call a function of machine code in parallel with each row of `parts` [k,3]: address, begin, end."""
     threads = min(threads, cores())
     if threads < 2 or len(parts) < 2:
         for part in parts.tolist():
@@ -83,6 +83,6 @@ def listed(function: Callable[[int, int, int], None], parts: NDArray[np.int64], 
 
 @inlined
 def own(begin: I64, count: I64, rooms: I64) -> I64:
-    """The number of the room of the part of `count` numbers (1 at least) that starts at `begin`, of as many `rooms` as
-    `parts` says: no two parts have the same."""
+    """Return the buffer number of the part of `count` numbers (at least 1) that starts at `begin`, for `rooms` buffers as `parts`
+    says. No two parts share a buffer."""
     return (begin * rooms + count - 1) // count

@@ -49,7 +49,7 @@ def philox(counter: Words, key: tuple[Any, Any]) -> Words:
 
 @lru_cache(maxsize=4096)
 def site_words(species: str, site: str) -> tuple[int, int]:
-    """Two 32-bit words that name a place in the text of a species."""
+    """Return two 32-bit words that identify a site in the text of a species."""
     digest = blake2b(f"{species}\0{site}".encode(), digest_size=8).digest()
     return int.from_bytes(digest[:4], "little"), int.from_bytes(digest[4:], "little")
 
@@ -68,13 +68,13 @@ def of_ids(wide: Any, first: Any, low: Any, last: Any, key: tuple[Any, Any]) -> 
 
 
 def counters(seed: int, frame: int, species: str, site: str, block: int) -> Counters:
-    """The counter words that all ids share (the third but for the high half of an id), and the key."""
+    """Return the counter words that all ids share (in the third, the high half of an id is still missing), and the key."""
     low, high = site_words(species, site)
     return (frame_word(frame), low, (high + block) & 0xFFFFFFFF), (seed & 0xFFFFFFFF, (seed >> 32) & 0xFFFFFFFF)
 
 
 def frame_word(frame: int) -> int:
-    """The first counter word of all draws of a frame."""
+    """Return the first counter word, which all draws of a frame share."""
     return frame & 0xFFFFFFFF
 
 
@@ -89,7 +89,7 @@ def uniform(seed: int, frame: int, species: str, site: str, index: int, ids: NDA
 
 
 def word(seed: int, frame: int, species: str, site: str, index: int, ids: NDArray[np.int64]) -> NDArray[np.uint64]:
-    """The word of `words` that `uniform` makes that draw from."""
+    """Return the word of `words` that `uniform` makes the same draw from."""
     return _drawn(draw_words, np.uint64, counters(seed, frame, species, site, index >> 2), index, ids)
 
 
@@ -102,7 +102,7 @@ def _drawn(loop: Kernel, kind: type[np.generic], shared: Counters, index: int, i
 
 @kernel
 def uniforms(ids: Array1[I64], shared: Shared, which: I64, found: Array1[F32]) -> None:
-    """Write a draw of each id, `which` of the four of its counter."""
+    """Write a draw for each id; `which` is its index among the four of its counter."""
     for n in independent(0, ids.size):
         found[n] = np.float32(_word(ids[n], shared, which) >> 8) * UNIT
 

@@ -1,4 +1,4 @@
-"""Copies of the rows of many arrays at once, by threads: as they lie, or picked in another order."""
+"""Parallel copies of the rows of many arrays at once, in order or permuted."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _HEAD, _WORDS = 2, 3  # words of a table before those of the arrays, and of each
 
 
 class RowCopies:
-    """Copies between the same arrays time after time: where they lie is looked up once."""
+    """Repeated copies between the same arrays. Their addresses are looked up once."""
 
     def __init__(self) -> None:
         self._arrays: list[NDArray[Any]] = []
@@ -32,7 +32,7 @@ class RowCopies:
         self._table = self._parts = np.zeros(0, np.int64)
 
     def copy(self, to: Sequence[NDArray[Any]], of: Sequence[NDArray[Any]], threads: int) -> None:
-        """Copy arrays `of` [n, ..], each in one piece, to those of the same length and type that are not the same."""
+        """Copy contiguous arrays `of` [n, ..] to different arrays of the same length and type."""
         arrays = [*to, *of]
         if not arrays:
             return
@@ -44,7 +44,7 @@ class RowCopies:
 
 
 def pick(pairs: Pairs, rows: NDArray[np.intp], threads: int) -> None:
-    """Copy these rows of arrays [n, ..], each in one piece, to arrays [k, ..] of the same type."""
+    """Copy selected rows of contiguous arrays [n, ..] to arrays [k, ..] of the same type."""
     if not pairs:
         return
     rows = np.ascontiguousarray(rows)  # which lasts as long as its address is in use
@@ -53,8 +53,8 @@ def pick(pairs: Pairs, rows: NDArray[np.intp], threads: int) -> None:
 
 
 def _table(pairs: Pairs, rows: NDArray[np.intp] | None) -> NDArray[np.int64]:
-    """Where the rows' numbers lie (0: as they are), how many arrays there are, and of each where it lies, where its rows go, and
-    how many bytes a row has."""
+    """Return the table of the copy: the address of the row numbers (0: all in order), the number of arrays, and for each its
+    address, its target and the bytes per row."""
     words = [0 if rows is None else address(rows), len(pairs)]
     for to, of in pairs:
         words += [address(of), address(to), of.strides[0]]
@@ -62,7 +62,7 @@ def _table(pairs: Pairs, rows: NDArray[np.intp] | None) -> NDArray[np.int64]:
 
 
 def _parts(table: NDArray[np.int64], count: int, threads: int) -> NDArray[np.int64]:
-    """What `parallel.listed` is to do for so many rows."""
+    """Return the parts of `count` rows for `parallel.listed`."""
     most = max(1, min(EACH * threads, count // parallel.PART))
     ends = [count * k // most for k in range(most + 1)]
     return np.array([(address(table), *ends[k : k + 2]) for k in range(most)], np.int64)

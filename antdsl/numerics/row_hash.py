@@ -1,16 +1,15 @@
-"""A hash of a table that does not depend on the order of its rows: 128 bits, the sum over rows of a mixed word of each.
+"""A hash of a table that does not depend on the order of its rows. It has 128 bits, the sum over rows of a mixed word of each.
 
-A row is taken as 32-bit halves in pairs. Two lanes of 64 bits each add up the products of such pairs, to whose halves keys were
-added: the hash NH (J. Black, S. Halevi, H. Krawczyk, T. Krovetz, P. Rogaway, UMAC: Fast and Secure Message Authentication,
-CRYPTO 1999), with keys of their own for each pair and lane, by SplitMix64 (G. Steele, D. Lea, C. Flood, Fast Splittable
-Pseudorandom Number Generators, OOPSLA 2014). Each lane of a row then goes through the finaliser of MurmurHash3 (A. Appleby,
-`fmix64`, 2011), a bijection, and is added to that of the other rows, modulo 2^64. The first pair of a row is its id, so that
-values which change places between rows change the sum too.
+A row is taken as 32-bit halves in pairs. Two lanes of 64 bits each add up the products of such pairs, after keys were added to
+the halves. This is the hash NH (J. Black, S. Halevi, H. Krawczyk, T. Krovetz, P. Rogaway, UMAC: Fast and Secure Message
+Authentication, CRYPTO 1999). Its keys, separate for each pair and lane, are by SplitMix64 (G. Steele, D. Lea, C. Flood, Fast
+Splittable Pseudorandom Number Generators, OOPSLA 2014). Each lane of a row then goes through the finaliser of MurmurHash3 (A.
+Appleby, `fmix64`, 2011), a bijection. It is added to that of the other rows, modulo 2^64. The first pair of a row is its id, so
+that values which change places between rows change the sum too.
 
-Where one 32-bit half of one row differs, the hash differs for certain: a lane keeps its product only where the other half and its
-key come to 0, and no two lanes have the same key. Any other difference is missed once in 2^64 or less, as long as nobody knows
-the keys and looks for one that is missed: this finds faults, not forgeries.
-"""
+Where one 32-bit half of one row differs, the hash differs for certain. A lane keeps its product only where the other half and its
+key come to 0. No two lanes have the same key. Any other difference is missed once in 2^64 or less, unless an attacker knows the
+keys and searches for one: this finds faults, not forgeries."""
 
 from __future__ import annotations
 
@@ -34,8 +33,8 @@ Longs = NDArray[np.int64]
 
 
 def row_hash(ids: NDArray[np.int64] | None, columns: Sequence[NDArray[Any]]) -> bytes:
-    """16 bytes for a table with these columns, [n] each, of 1, 2, 4 or 8 bytes a value. `ids` int64[n] are different from each
-    other; None: the numbers of the rows, for a table whose rows have an order."""
+    """Return 16 bytes for a table with these columns, [n] each, of 1, 2, 4 or 8 bytes a value. `ids` int64[n] are different from
+    each other. None: the numbers of the rows, for a table with ordered rows."""
     count = len(columns[0]) if ids is None else len(ids)
     kept = [np.ascontiguousarray(column) for column in (columns if ids is None else (ids, *columns))]
     return _told(Table(kept, keys, ids=ids is not None).sums(count))
@@ -46,7 +45,7 @@ def _told(sums: Sequence[int]) -> bytes:
 
 
 class RowHash:
-    """`row_hash` of tables that mostly lie where they did time after time, which is looked up once."""
+    """Repeated `row_hash` of tables that mostly have the same addresses. These are looked up once."""
 
     def __init__(self) -> None:
         self._arrays: list[NDArray[Any]] = []  # the ids first, where there are any
@@ -55,15 +54,16 @@ class RowHash:
         self._parts: list[NDArray[Any]] = []
 
     def parts(self, arrays: Sequence[NDArray[Any]], several: Sequence[bool]) -> list[NDArray[Any]]:
-        """Columns of arrays, of those with `several` one for each row of the first axis: the same objects while arrays are."""
+        """Return the columns of arrays; an array with `several` has one column per row of its first axis. The result has the same
+        objects as long as the arrays are the same."""
         if len(arrays) != len(self._whole) or any(map(is_not, arrays, self._whole)):
             self._whole = list(arrays)
             self._parts = [part for array, each in zip(arrays, several, strict=True) for part in (array if each else (array,))]
         return self._parts
 
     def of(self, ids: NDArray[np.int64] | None, columns: Sequence[NDArray[Any]], threads: int = 1) -> bytes:
-        """Of columns [n] or [n, k], the rows of which count as k columns. Those of fewer than four bytes a value lie in one
-        piece."""
+        """Return the hash of columns [n] or [n, k]; the rows of the latter count as k columns. Columns with fewer than four bytes
+        per value must be contiguous."""
         arrays = list(columns) if ids is None else [ids, *columns]
         count = len(arrays[0])
         if not count:  # arrays without rows have any strides
@@ -76,7 +76,7 @@ class RowHash:
 
 
 def named(names: tuple[str, ...], columns: Iterable[NDArray[Any]]) -> bytes:
-    """What a digest has to take in of columns besides the hash of the rows: their names and types."""
+    """Return what a digest needs of columns in addition to the hash of the rows: their names and types."""
     return _named(names, tuple([column.dtype for column in columns]))
 
 
@@ -104,8 +104,7 @@ _Part = tuple[int, int, int]  # which column, how many bytes from its begin on, 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Form:
-    """What is the same of all arrays that may stand for a column: their type, their steps, their axes after the first, and
-    whether they lie in one piece."""
+    """The common layout of all arrays for a column: type, steps, axes after the first, and whether they are contiguous."""
 
     dtype: np.dtype[Any]
     strides: tuple[int, ...]
@@ -114,9 +113,9 @@ class _Form:
 
 
 class Table:
-    """Where the columns of a table lie, for machine code. `columns` [n] or [n, k], of 1, 2, 4 or 8 bytes a value, not kept here.
-    `keys` gives the four of a word by its number. `ids`: whether the first column is those of the rows; otherwise the numbers of
-    the rows are."""
+    """The memory layout of a table's columns, for machine code. `columns` [n] or [n, k], of 1, 2, 4 or 8 bytes a value, are not
+    stored here. `keys` returns the four of a word by its number. `ids`: whether the first column is those of the rows; otherwise
+    the numbers of the rows are."""
 
     def __init__(self, columns: Sequence[NDArray[Any]], keys: Callable[[int], NDArray[np.int64]], *, ids: bool) -> None:
         self._forms = [_Form(each.dtype, each.strides, each.shape[1:], each.flags.c_contiguous) for each in columns]
@@ -150,7 +149,8 @@ class Table:
         self.lie(columns, [None] * len(columns))
 
     def lie(self, columns: Sequence[NDArray[Any]], before: Sequence[NDArray[Any] | None]) -> bool:
-        """Whether other arrays can stand for the columns; they do from now on. `before`: those that stood for them until now."""
+        """Return whether other arrays can replace the columns; if so, they do from now on. `before`: the arrays that they
+        replace."""
         for k, (column, other) in enumerate(zip(columns, before, strict=True)):
             if column is other:
                 continue
@@ -165,7 +165,7 @@ class Table:
         return True
 
     def sums(self, count: int, threads: int = 1) -> tuple[int, int]:
-        """The sums of both lanes of so many rows, each mixed, modulo 2^64."""
+        """Return the sums of both lanes over `count` rows, each row mixed, modulo 2^64."""
         chunks = 1 if threads < 2 else max(1, min(EACH * threads, count // parallel.PART))
         if len(self._heads) != chunks or self._chunks[-1, 2] != count:
             self._heads = np.zeros((chunks, HEAD), np.int64)

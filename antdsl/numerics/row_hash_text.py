@@ -1,7 +1,7 @@
 """The loops of `row_hash`, in LLVM's language.
 
-Rows go in blocks that fit into a core's own memory. The lanes of a block's rows are added up there, word by word: so each column
-is read as one stream, which processors foresee, where all columns at once would be more streams than they can follow."""
+Rows are processed in blocks that fit into a core's own cache. The lanes of a block's rows are summed there, word by word. So each
+column is read as one stream, which processors can prefetch. All columns at once would be too many streams."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _TURNS = "<" + ", ".join(f"i64 {k}" for k in range(LANES)) + ">"
 
 
 class _Text:
-    """Lines of a function, and values with names of their own."""
+    """Lines of a function, with unique names for its values."""
 
     def __init__(self) -> None:
         self.lines: list[str] = []
@@ -55,7 +55,7 @@ def _constant(value: int) -> str:
 
 @library_text
 def text(target: machine.Target) -> str:
-    """What is compiled: a function of such a table that adds to the sums those of the rows from the first to before the last."""
+    """Return the compiled text: a function of such a table that adds the sums of rows from the first to before the last."""
     module = Module(target)
     module.declare("llvm.memset.p0.i64", "void", ["ptr", "i8", "i64", "i1"])
     w = _Text()
@@ -135,8 +135,8 @@ def _words(w: _Text) -> None:
 
 
 def _added(w: _Text, label: str, before: str, columns: Sequence[str], keys: Sequence[str]) -> None:
-    """Add the products of a word to both lanes of a block, behind the block `before`: of a column of whole words, or of two of
-    halves."""
+    """Add the products of a word to both lanes of a block, after the block `before`. The word comes from one column of full
+    words, or from two of halves."""
     _loop(w, label, before, LANES, "%room")
     if len(columns) == 1:
         place = w.place(columns[0], "i64", f"%{label}.i")
@@ -158,7 +158,7 @@ def _added(w: _Text, label: str, before: str, columns: Sequence[str], keys: Sequ
 
 
 def _half(w: _Text, name: str, begin: str, step: str) -> None:
-    """Write the low or the `high` halves of words, from a column of values of 4 bytes or fewer, and go on at `name`.done."""
+    """Write the low or the `high` halves of words from a column of values of at most 4 bytes, and continue at `name`.done."""
     shift = 32 if name == "high" else 0
     w.do(f"br i1 %few, label %{name}.few, label %{name}.many")
     for many in (True, False):
@@ -181,7 +181,7 @@ def _half(w: _Text, name: str, begin: str, step: str) -> None:
 
 
 def _loop(w: _Text, label: str, before: str, step: int, count: str) -> None:
-    """Begin a loop over the rows of a block, behind the block `before`."""
+    """Begin a loop over the rows of a block, after the block `before`."""
     w.do(f"br label %{label}")
     w.at(label)
     w.do(f"%{label}.i = phi i64 [ 0, %{before} ], [ %{label}.next, %{label}.turn ]")
@@ -196,7 +196,7 @@ def _end(w: _Text, label: str) -> None:
 
 
 def _read(w: _Text, label: str, before: str, begin: str, kind: str, shift: int) -> None:
-    """Write halves of values that lie side by side."""
+    """Emit a loop that adds contiguous values in memory as halves of 64-bit values."""
     _loop(w, label, before, LANES, "%room")
     at = w.place(begin, kind, f"%{label}.i")
     found = w.put(f"load <{LANES} x {kind}>, ptr {at}, align 1")
@@ -213,7 +213,7 @@ def _read(w: _Text, label: str, before: str, begin: str, kind: str, shift: int) 
 
 
 def _gathered(w: _Text, label: str, before: str, begin: str, step: str, kind: str, shift: int | None) -> None:
-    """Write values that are `step` bytes apart, one by one: all of a word, or a half of it."""
+    """Write values that are `step` bytes apart, one by one, as full words or as halves."""
     _loop(w, label, before, 1, "%count")
     at = w.place(begin, "i8", w.put(f"mul i64 %{label}.i, {step}"))
     found = w.put(f"load {kind}, ptr {at}, align 1")

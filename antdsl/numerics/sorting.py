@@ -1,5 +1,5 @@
-"""Orders of many rows: of whole numbers, found by counting sixteen bits at a time, several times faster than comparing them; and
-of places, along a curve that keeps together what is near."""
+"""Fast orders of many rows: of integers, by radix sort with sixteen bits at a time, and of points, along a space-filling
+curve."""
 
 from __future__ import annotations
 
@@ -16,7 +16,8 @@ _BITS = 16  # NumPy sorts numbers of this width by counting
 
 
 def stable_order(keys: NDArray[np.integer[Any]]) -> NDArray[np.intp]:
-    """What `argsort(keys, kind="stable")` gives for whole numbers [n] (D. E. Knuth, The Art of Computer Programming 3, 5.2.5)."""
+    """Return the result of `argsort(keys, kind="stable")` for integers [n] (D. E. Knuth, The Art of Computer Programming 3,
+    5.2.5)."""
     if not keys.size:
         return np.empty(0, np.intp)
     low, high = int(keys.min()), int(keys.max())
@@ -48,7 +49,7 @@ def _spread(bits: U64) -> U64:
 
 @kernel
 def interleave(cells: Array2[U64], code: Array1[U64], begin: I64, end: I64) -> None:
-    """The number `code` [n] of each of the cells [n,3] from `begin` to before `end`."""
+    """Write the number `code` [n] of each cell [n,3] from `begin` to before `end`."""
     for n in independent(begin, end):
         x, y, z = _spread(cells[n, 0]), _spread(cells[n, 1]), _spread(cells[n, 2])
         code[n] = x | (y << np.uint64(1)) | (z << np.uint64(2))
@@ -56,7 +57,7 @@ def interleave(cells: Array2[U64], code: Array1[U64], begin: I64, end: I64) -> N
 
 @inlined
 def place_among(keys: Array1[I64], key: I64, first: I64, last: I64) -> I64:
-    """How many of the keys are less than a key, which is known to stand between `first` and `last`: by halving."""
+    """Return how many keys are less than a key, by binary search between `first` and `last`."""
     a, b = first, last
     while a < b:
         middle = (a + b) >> 1
@@ -69,7 +70,7 @@ def place_among(keys: Array1[I64], key: I64, first: I64, last: I64) -> I64:
 
 @inlined
 def listed(flags: Array1[Any], count: I64) -> I64:
-    """How many of the first flags are 1, not 0, whose numbers come first now."""
+    """Move the indices of the 1s among the first `count` flags to the front; return how many there are."""
     found = 0
     for k in range(count):
         flag = flags[k]

@@ -1,4 +1,4 @@
-"""Which stage of a set-up is under way: whoever shows progress listens, and the code that sets up names its stages."""
+"""The current stage of a set-up: progress displays listen, and the code that sets up names its stages."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ _listener: ContextVar[Callable[[str], None] | None] = ContextVar("listener", def
 
 
 def begin(words: str) -> None:
-    """A stage begins: `ground`, `placing 500 agents`."""
+    """Report the start of a stage: `ground`, `placing 500 agents`."""
     listener = _listener.get()
     if listener is not None:
         listener(words)
@@ -18,7 +18,7 @@ def begin(words: str) -> None:
 
 @contextmanager
 def reported(listener: Callable[[str], None]) -> Iterator[None]:
-    """Meanwhile `listener` is called with the words of each stage of this thread as it begins."""
+    """Call `listener` with the words of each stage that this thread begins within the context."""
     token = _listener.set(listener)
     try:
         yield

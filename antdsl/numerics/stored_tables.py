@@ -1,8 +1,8 @@
-"""Tables that are computed from meshes, stored from run to run: plain arrays, found by a hash of all that they depend on.
+"""Tables that are computed from meshes and stored for later runs: plain arrays, keyed by a hash of their inputs.
 
-That is the arrays and numbers they are computed from, the sources of the rooms that compute them, and NumPy's version. They are
-stored as machine code is (`object_cache`): signed by this user, since kernels trust the numbers of rows in them, and never in a
-folder of a scene. Small meshes are not worth it. A table is the same whether it was stored or not."""
+The inputs are the arrays and numbers they are computed from, the sources of the packages that compute them, and NumPy's version.
+Tables are stored like machine code (`object_cache`): signed by this user, since kernels trust their row numbers, and never in a
+folder of a scene. Tables of small meshes are not stored. A table has the same values whether it was stored or not."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ KIND: Final = object_cache.Kind(
 )
 _CAP: Final = 1024 * MIB
 _LARGEST: Final = 256 * MIB
-_ROOMS: Final = ("machine_code", "numerics", "scene/geometry", "casting", "ground", "fields")  # whose code computes tables
+_ROOMS: Final = ("machine_code", "numerics", "scene/geometry", "casting", "ground", "fields")  # packages that compute tables
 _ALIGNED: Final = 64  # bytes: where arrays begin
 _TYPES: Final = frozenset(["|b1", "|i1", "<i4", "<i8", "<f4", "<f8"])
 
@@ -49,8 +49,11 @@ _computed = 0  # tables, by this process
 def stored(
     name: str, size: int, inputs: Sequence[NDArray[Any] | float | str], compute: Callable[[], Tables], unit: str = "faces"
 ) -> Tables:
-    """What `compute` gives, or gave in an earlier run, for these inputs. `size`: how many faces the mesh has, or what else the
-    `unit` is; 0 for what no other run asks for. `name` stands for the computation. The arrays belong to the caller."""
+    """Return the result of `compute` for these inputs, stored from an earlier run where possible. The arrays belong to the
+    caller.
+
+    `size` is the number of faces of the mesh, or of another `unit`; 0 for a result that no other run needs. `name` identifies the
+    computation."""
     global _computed
     key = _key(name, inputs) if size >= LEAST else None
     found = None if key is None else _unpacked(_store().get(key))
@@ -65,12 +68,12 @@ def stored(
 
 
 def computed() -> int:
-    """How many tables this process has computed, which were not stored."""
+    """Return how many tables this process has computed because they were not stored."""
     return _computed
 
 
 def forget() -> None:
-    """Look for the folder again, as a process that begins."""
+    """Look up the folder again at the next use, as in a new process."""
     _store.cache_clear()
 
 
@@ -96,7 +99,7 @@ def _key(name: str, inputs: Sequence[NDArray[Any] | float | str]) -> str:
 
 @cache
 def _sources() -> str:
-    """A hash of the modules that compute tables; empty where they were shipped without their sources."""
+    """Return a hash of the modules that compute tables; empty where the installation has no sources."""
     hashed = blake2b(digest_size=16)
     try:
         for path in _modules():
@@ -126,7 +129,7 @@ def _packed(tables: Mapping[str, NDArray[Any]]) -> bytes:
 
 
 def _unpacked(data: bytes | None) -> Tables | None:
-    """The arrays of `_packed`; None where there is nothing, or anything else."""
+    """Return the arrays of `_packed`; None for no data or any other data."""
     if data is None:
         return None
     found: Tables = {}

@@ -1,4 +1,4 @@
-"""Vectors float64 (n, 3), one row each; three numbers are added in one fixed order."""
+"""Vectors float64 (n, 3), one per row. Sums of three products have one fixed order."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ def columned(v: Floats) -> Floats:
 
 
 def some(v: Floats, rows: Rows) -> Floats:
-    """Some rows of vectors, ascending; each component contiguous."""
+    """Return selected rows (ascending) of vectors, with contiguous components."""
     if len(rows) == len(v):
         return v
     return v.T.take(rows, axis=1).T
@@ -43,14 +43,14 @@ def dot(a: Floats, b: Floats) -> Floats:
 
 
 def unit(v: Floats) -> Floats:
-    """Vectors (…, 3) made one long; zero stays zero."""
+    """Return vectors (…, 3) scaled to unit length; zero stays zero."""
     size = np.sqrt(dot(v, v))
     made: Floats = v / np.where(size > 0, size, 1.0)[..., None]
     return made
 
 
 def unit_or(v: Floats, otherwise: Floats) -> Floats:
-    """Vectors (…, 3) made one long; the direction of another vector, which broadcasts against them, where one has none."""
+    """Return vectors (…, 3) scaled to unit length. Where one is zero, return the direction of `otherwise`, which is broadcast."""
     size = np.sqrt(dot(v, v))[..., None]
     return np.where(size > 1e-9, v / np.maximum(size, 1e-9), unit(np.broadcast_to(np.asarray(otherwise, np.float64), v.shape)))
 

@@ -51,7 +51,7 @@ def choose(condition: Array, a: Vector, b: Vector) -> Vector:
 
 
 def copy(a: Vector) -> Vector:
-    """Arrays of its own."""
+    """Return a copy with its own arrays."""
     return np.array(a[0]), np.array(a[1]), np.array(a[2])
 
 
@@ -65,14 +65,14 @@ def flat(a: Columns, up: Columns) -> Vector:
 
 
 def unit(a: Vector, otherwise: Vector, least: float = 1e-12) -> Vector:
-    """Length 1, or another vector where there is no direction: where one is shorter than `least`."""
+    """Return the unit vector, or `otherwise` where the vector is shorter than `least`."""
     size = length(a)
     good = (size > least) & np.isfinite(size)
     return choose(good, scale(a, 1 / np.where(good, size, 1)), otherwise)
 
 
 def turned(v: Array, before: Array, after: Array, direction: Array) -> Array:
-    """Vectors turned by the least turn that takes one unit normal into another; half a turn goes over `direction`."""
+    """Return vectors rotated by the smallest rotation from one unit normal to another. A half turn rotates over `direction`."""
     cosine = dot(before, after)
     opposite = cosine < -1 + 1e-9
     axis = stacked_cross(before, after)
@@ -107,7 +107,7 @@ def _parts(name: str) -> Callable[[Mapping[str, Array]], Vector]:
 
 
 def rows(a: Vector) -> NDArray[np.float64]:
-    """Three arrays as float64 (n, 3), each component contiguous."""
+    """Return three arrays as float64 (n, 3), with contiguous components."""
     columns = np.empty((3, len(a[0])))
     for column, component in zip(columns, a, strict=True):
         column[:] = component

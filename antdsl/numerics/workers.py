@@ -1,8 +1,8 @@
-"""Threads that wait for work in machine code: to hand them some costs a few microseconds, and no lock of the interpreter.
+"""Threads that wait for work in machine code. Starting work costs a few microseconds and takes no lock of the interpreter.
 
-Each is a thread of Python's that has called machine code (`workers_text`) and comes back at the end of the program. A job of
-kernels never sees the interpreter; one of Python's functions takes its lock in each thread that joins in. Where threads cannot
-wait so, an executor of `concurrent.futures` stands in."""
+Each is a Python thread that has called machine code (`workers_text`) and returns at the end of the program. A job of kernels
+never enters the interpreter; a job of Python functions takes its lock in each thread that joins. Where threads cannot wait in
+this way, an executor of `concurrent.futures` replaces them."""
 
 from __future__ import annotations
 
@@ -29,8 +29,8 @@ from antdsl.numerics.host import EACH
 
 T = TypeVar("T")
 _LOCKS = ("PyThread_allocate_lock", "PyThread_acquire_lock", "PyThread_release_lock")
-# Seconds that one without work looks out for it before it sleeps. To be woken takes 30 to 100 us, which a step of 15,000 agents
-# would spend up to 50 times; what one thread does alone between two jobs of a step is mostly shorter than this.
+# Seconds that a thread without work spins before it sleeps. Waking a thread takes 30 to 100 us, which a step of 15,000 agents
+# would spend up to 50 times. What one thread does alone between two jobs of a step is mostly shorter than this.
 _AWAKE = 1e-3
 _TRIED = 1_000  # turns that are timed
 _LINE = 64  # bytes of a line of the processor's memory
@@ -38,7 +38,8 @@ _ENTRY = (None, ctypes.c_void_p, ctypes.c_int64, ctypes.c_int64)
 
 
 class Workers:
-    """So many threads besides the one that asks, who is noted in `asks` meanwhile: others do not wait for it, but work alone."""
+    """Threads that work in addition to the caller's thread. The current caller is noted in `asks`: others do not wait for it, but
+    work alone."""
 
     def __init__(self, count: int) -> None:
         code = words.code()
@@ -67,8 +68,10 @@ class Workers:
         loop(self.address, number, 0)
 
     def do(self, work: Callable[[int], object], helpers: int) -> None:
-        """Call `work(0)` here and `work(1)` to `work(helpers)` in workers, as far as some come before it is over here. All have
-        ended then, whatever interrupts it. Raises what one of them raised."""
+        """Call `work(0)` in this thread and `work(1)` to `work(helpers)` in workers, as far as these are free before `work(0)`
+        ends.
+
+        All calls have ended on return, whatever interrupts it. An exception of one of them is raised here."""
         self._work, self._failed = work, []
         self._job(self._called, self._numbers, min(helpers, PARTS))
         try:
@@ -87,7 +90,7 @@ class Workers:
             raise failed[0]
 
     def kernel(self, work: Callable[[int, int], T], count: int, parts: int) -> list[T] | None:
-        """What parts of a kernel give that stands in a `partial`; None for any other work."""
+        """Return the results of the parts of a kernel wrapped in a `partial`; None for any other work."""
         if not isinstance(work, partial) or work.keywords:
             return None
         parted = getattr(work.func, "parted", None)
@@ -105,7 +108,7 @@ class Workers:
             self._all(self.address, 0, 0)
 
     def end(self) -> None:
-        """Have the threads end, each once it is done with the part that it is at. Who asks does the rest."""
+        """End the threads, each after its current part. The requesting thread does the remaining work."""
         self._end(self.address, 0, 0)
         for each in self._threads:
             each.join()
@@ -123,7 +126,7 @@ class Workers:
 
 
 class Executed:
-    """The same by an executor, without machine code."""
+    """The same interface on an executor, without machine code."""
 
     def __init__(self, count: int) -> None:
         self.asks: dict[None, object] = {}
@@ -150,12 +153,13 @@ class Executed:
 
 
 def parts(count: int, threads: int) -> int:
-    """Parts of a kernel for so many numbers, for which so many threads pay: none is without a register that is whole."""
+    """Return the number of parts of a kernel for `count` numbers, with threads that are worthwhile. Each part has at least one
+    full register."""
     return max(1, min(EACH * threads, PARTS, count // words.EVEN))
 
 
 def in_parts(work: Callable[[int, int], T], count: int, threads: int, paying: int) -> list[T]:
-    """As `parallel.in_parts`, where so many threads pay."""
+    """Run `parallel.in_parts` with as many threads as are worthwhile."""
     pool = _kept_for(threads)
 
     def together() -> list[T]:
@@ -167,7 +171,7 @@ def in_parts(work: Callable[[int, int], T], count: int, threads: int, paying: in
 
 
 def _asked(pool: Workers | Executed, together: Callable[[], T], alone: Callable[[], T]) -> T:
-    """What `together` gives, while nobody else asks the pool for anything; or `alone`, where somebody does already."""
+    """Return the result of `together` if no other caller uses the pool, else that of `alone`."""
     own = object()
     try:
         if pool.asks.setdefault(None, own) is own:  # one call notes who asks: an interrupt comes before it or after it
@@ -180,13 +184,14 @@ def _asked(pool: Workers | Executed, together: Callable[[], T], alone: Callable[
 
 
 def _pulled(pool: Workers | Executed, work: Callable[[int, int], T], count: int, parts: int) -> list[T]:
-    """What parts give that are Python's. Raises what the first has raised that failed; later ones may not have been begun."""
+    """Return the results of parts that are Python functions. Raises the exception of the first part that failed; later parts may
+    not have started."""
     given: dict[int, T] = {}
     failed: dict[int, BaseException] = {}
     coming = iter(range(parts))
 
     def some(_: int) -> None:
-        for k in coming:  # the next one that nobody has
+        for k in coming:  # the next one that is free
             try:
                 given[k] = work(count * k // parts, count * (k + 1) // parts)
             except BaseException as problem:
@@ -227,7 +232,7 @@ _guard = Lock()
 
 
 def _kept_for(threads: int) -> Workers | Executed:
-    """What is kept for so many threads, who asks among them: of machine code where it can be."""
+    """Return the cached pool for a number of threads, the caller's included. It runs machine code where that is possible."""
     found = _kept.get(threads)
     if found is None:
         with _guard:
@@ -238,7 +243,7 @@ def _kept_for(threads: int) -> Workers | Executed:
 
 
 def _forget() -> None:
-    """A process that was forked has none of these threads."""
+    """Forget the threads in a forked process, which has none of them."""
     global _guard
     _kept.clear()
     _guard = Lock()
@@ -271,7 +276,7 @@ def _lock() -> int:
 
 @cache
 def _turns() -> int:
-    """How often a thread without work looks out for it."""
+    """Return how many turns a thread without work spins before it sleeps."""
     wait, room = words.code().function("turns"), np.zeros(1, np.int64)
     spent = []
     for _ in range(3):

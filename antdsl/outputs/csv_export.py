@@ -1,4 +1,4 @@
-"""A cache as keyframes in a table of text: one row an agent and frame, with place, angles and scale."""
+"""A cache as keyframes in a text table: one row per agent and frame, with position, angles and scale."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ _READ = frozenset(["P", "orient", "pscale", "id", "species"])
 
 
 def export_csv(gallery: Gallery, frames: Iterable[int], path: Path) -> None:
-    """Write these frames as CSV, frame by frame, in the scene's units and axes, places from its zero point. It is in its
-    place whole or not at all.
+    """Write these frames as CSV, frame by frame, in the scene's units and axes, with positions from its zero point. The write is
+    atomic.
 
-    Angles are degrees about x, then y, then z, without jumps from frame to frame; with the scale, which is the body's length,
-    they bring a body of length 1 along +x with +y up into its place.
+    Angles are degrees about x, then y, then z, without jumps between frames. Together with the scale (the body's length), they
+    place a body of length 1 along +x with +y up.
 
-    CacheError for a frame that is damaged, OSError where nothing can be written."""
+    Raises CacheError for a damaged frame, OSError where nothing can be written."""
     row = "%d,%d" + f",{place_digits(gallery)}" * 3 + ",%.9g" * 6  # nine digits give a float32 back to the last bit
     angles = [Angles() for _ in gallery.manifest.species]
     with whole_file(path) as file:

@@ -1,4 +1,4 @@
-"""Rows of CSV (RFC 4180) whose text cells no spreadsheet program takes for a formula."""
+"""Rows of CSV (RFC 4180) with text cells that no spreadsheet program reads as a formula."""
 
 from __future__ import annotations
 
@@ -12,8 +12,9 @@ _NUMBER = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?|[+-]?(?:inf|nan
 
 
 def safe_cell(value: object) -> object:
-    """A value as it stands in a cell. Text that begins like a formula, or with an apostrophe, gets an apostrophe in front of it.
-    Removing one leading apostrophe restores it. Numbers stay, those that are written as text too."""
+    """Return a value as written in a cell. Text that begins like a formula, or with an apostrophe, gets an apostrophe in front.
+
+    Removing one leading apostrophe restores it. Numbers are unchanged, also those written as text."""
     if not isinstance(value, str) or _NUMBER.fullmatch(value):
         return value
     return f"'{value}" if value.startswith("'") or value.lstrip(" ")[:1] in _FORMULA else value

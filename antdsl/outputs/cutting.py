@@ -1,4 +1,4 @@
-"""Pictures cut open: what lies beyond a plane across an axis is left out, and solids show what is inside them."""
+"""Section views: parts beyond a plane across an axis are left out, and solids show their inside."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _WRITTEN = re.compile(r"\s*([xyz])\s*([<>])\s*(-?[0-9]+(?:\.[0-9]+)?)\s*")
 
 @dataclass(frozen=True, slots=True)
 class Cut:
-    """What is taken away: places whose coordinate along an axis is above `at` (scene units), below it where `below`."""
+    """The part that is cut away: points with a coordinate along an axis above `at` (scene units), or below it if `below`."""
 
     axis: int
     at: float
@@ -27,7 +27,7 @@ class Cut:
 
     @staticmethod
     def of(text: str) -> Cut | None:
-        """From words such as `z > 0`; None when they are not such."""
+        """Parse text such as `z > 0`; None for any other text."""
         found = _WRITTEN.fullmatch(text)
         return None if found is None else Cut("xyz".index(found[1]), float(found[3]), found[2] == "<")
 
@@ -37,13 +37,13 @@ class Cut:
         return along < self.at if self.below else along > self.at
 
     def painted(self, places: NDArray[np.float64], near: float) -> NDArray[np.float64]:
-        """Colours [n,3] of a solid's vertices: a dark one on the plane, so that what is hollow stands out, and none elsewhere."""
+        """Return colours [n,3] of a solid's vertices: dark on the plane, so that cavities are visible, and none elsewhere."""
         colour = np.full((len(places), 3), np.nan)
         colour[np.abs(places[:, self.axis] - self.at) < near] = _SECTION
         return colour
 
     def opened(self, volume: Volume, offset: NDArray[np.float64], scale: float) -> Volume:
-        """A copy of a solid from which all beyond the plane has been dug: max(distance, depth beyond it)."""
+        """Return a copy of a solid without the part beyond the plane: max(distance, depth beyond it)."""
         copied = deepcopy(volume)
         bricks = copied.bricks
         nodes = bricks.origin[self.axis] + np.arange(bricks.nodes[self.axis]) * bricks.voxel
@@ -63,7 +63,7 @@ class Cut:
         return copied
 
     def picture(self, whole: Picture) -> Picture:
-        """A picture without agents, items, scent and faces of meshes that are taken away; its solids are cut already."""
+        """Return a picture without the agents, items, scent and mesh faces that the plane removes. Its solids are already cut."""
         return replace(
             whole,
             solids=tuple(self._mesh(solid) for solid in whole.solids),

@@ -42,9 +42,9 @@ class NoAgent(Exception):
 
 @dataclass(frozen=True, slots=True)
 class Drawn:
-    """What pictures are to be like. `cut`, `window`: as they are written on the command line; `camera`: `scene`, `fit`, `above`,
-    `top`, `eye` or `close`; `agents`: whose ids, paths and the like are shown, the first for the eye; `least`: pixels, None for
-    the usual; `rest`: a camera at eye level stays where the first frame put it, as a film needs it."""
+    """The options of pictures. `cut`, `window`: as on the command line. `camera`: `scene`, `fit`, `above`, `top`, `eye` or
+    `close`. `agents`: those with ids, paths and the like displayed, the first for the eye. `least`: pixels, None for the default.
+    `rest`: a camera at eye level stays where the first frame put it, as films need."""
 
     width: int
     height: int
@@ -61,7 +61,7 @@ class Drawn:
     rest: bool = False
 
     def document(self) -> dict[str, Any]:
-        """In JSON's values, as it goes to another process."""
+        """Return the settings as JSON values, for another process."""
         return asdict(self)
 
     @classmethod
@@ -71,14 +71,14 @@ class Drawn:
         return cls(**{**document, "show": tuple(document["show"]), "agents": tuple(document["agents"]), "full": full})
 
     def gallery(self, cache: Cache) -> Gallery:
-        """The cache's pictures; NoPicture as `Gallery` has it."""
+        """Return the cache's pictures. Raises NoPicture as `Gallery` does."""
         window = Window.of(self.window) if "paths" in self.show else None
         cut = Cut.of(self.cut) if self.cut is not None else None
         return Gallery(cache, cut, window, blurred=self.blur > 0, full=dict(self.full))
 
 
 class Drawer:
-    """Draws those `frames` of a gallery, on so many threads. Where the camera stands still is found by the first of them."""
+    """Drawer of some `frames` of a gallery, on several threads. A fixed camera is chosen from the first of them."""
 
     def __init__(self, gallery: Gallery, wanted: Drawn, frames: Sequence[int], threads: int) -> None:
         self.gallery, self.wanted, self.frames = gallery, wanted, list(frames)
@@ -91,8 +91,8 @@ class Drawer:
         self._standing = self._camera(first)
 
     def draw(self, frame: int) -> NDArray[np.uint8]:
-        """One frame (height, width, 3). CacheError where it is damaged, NoPicture where it cannot be drawn, NoAgent where a
-        camera finds nobody, ValueError for a word to show that there is not."""
+        """Draw one frame (height, width, 3). Raises CacheError if it is damaged, NoPicture if it cannot be drawn, NoAgent if a
+        camera finds no agent. Raises ValueError for an unknown word in `show`."""
         wanted, picture = self.wanted, self.gallery.picture(frame, agents=self._agents)
         follows = wanted.camera in ("eye", "close") and not wanted.rest
         moves = wanted.camera == "scene" and self.gallery.camera_moves
@@ -119,7 +119,7 @@ class Drawer:
 
 
 def _nobody(picture: Picture, agents: Sequence[int]) -> str:
-    """That a camera finds no agent, and who there is."""
+    """Return a message that a camera finds no agent, with the agents that exist."""
     counts: dict[str, int] = {}
     for crowd in picture.crowds:
         counts[crowd.species] = counts.get(crowd.species, 0) + len(crowd.position)
@@ -129,13 +129,13 @@ def _nobody(picture: Picture, agents: Sequence[int]) -> str:
 
 
 def still_path(folder: Path, frame: int) -> Path:
-    """Where the picture of a frame is kept."""
+    """Return the path of a frame's picture."""
     return folder / f"picture.{frame:04d}.png"
 
 
 @dataclass(frozen=True, slots=True)
 class Stills:
-    """The stills of a cache in a folder, as they were asked for."""
+    """The requested stills of a cache in a folder."""
 
     folder: Path
     wanted: Drawn
@@ -144,8 +144,8 @@ class Stills:
 
     @classmethod
     def of(cls, folder: Path, cache: Cache, wanted: Drawn, together: Sequence[int]) -> Stills:
-        """Reads what tells the frames of the cache from those of another. `together`: the frames that the camera is chosen
-        for."""
+        """Open the stills of a cache. The hash covers data that identifies the cache's frames. `together`: the frames that the
+        camera is chosen for."""
         read = cache.manifest.model_copy(update={"made_with": None}).model_dump_json()  # pictures do not depend on it
         manifest = blake2b(read.encode(), digest_size=16).hexdigest()
         frames = cache.frames()
@@ -159,7 +159,7 @@ class Stills:
         return cls(folder, wanted, cache.lines(), json.dumps(about, sort_keys=True))
 
     def put(self, frame: int, image: Image) -> Path:
-        """Write the picture (h, w, 3) of a frame, whole or not at all. It is not synced."""
+        """Write the picture (h, w, 3) of a frame, atomically. It is not synced."""
         from PIL import Image as PillowImage
         from PIL.PngImagePlugin import PngInfo
 
@@ -171,7 +171,8 @@ class Stills:
         return still_path(self.folder, frame)
 
     def kept(self, frame: int) -> Image | None:
-        """The picture (h, w, 3) of a frame, where it is there, whole, and drawn from the same as it would be now."""
+        """Return the picture (h, w, 3) of a frame if it exists, is complete, and was drawn from the same inputs as now; else
+        None."""
         from antdsl.reader.image_request import ImageError, read_image_file
 
         try:

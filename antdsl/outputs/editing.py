@@ -25,13 +25,14 @@ _NEEDED = ("id", "orient")
 
 
 class NotEditable(Exception):
-    """What a cache lacks for an edit, in words that stand alone."""
+    """Reason why a cache cannot be edited; the message is complete without context."""
 
 
 def smooth_orientations(cache: Cache, folder: Path, width: int, *, force: bool = False) -> Iterator[int]:
-    """Write a cache into a folder that has everything that the other one has but its checkpoints, orientations smoothed over
-    `width` frames; gives the number of each frame that is written. CacheError where a frame is damaged, ForeignFolder, InTheWay
-    and Locked as for a run."""
+    """Write a copy of a cache without checkpoints, with orientations smoothed over `width` frames. Yield the number of each
+    written frame.
+
+    Raises CacheError where a frame is damaged; ForeignFolder, InTheWay and Locked as for a run."""
     lacking = [name for name in _NEEDED if name not in cache.manifest.attributes]
     if lacking:
         raise NotEditable(f"the cache has no attribute `{lacking[0]}`, which smoothing needs")
@@ -50,7 +51,7 @@ def smooth_orientations(cache: Cache, folder: Path, width: int, *, force: bool =
 
 
 def _frames(cache: Cache, folder: Path, width: int) -> Iterator[int]:
-    """Writes the frames in order, holding the orientations of `width` of them at a time."""
+    """Write the frames in order, with the orientations of `width` frames in memory at a time."""
     numbers, states, lines = cache.frames(), cache.hashes(), []
     there, near = set(numbers), {}
     for number in numbers:
@@ -88,19 +89,20 @@ def _way(cache: Cache, folder: Path) -> str | None:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Oriented:
-    """The agents of a frame: what tells one from all others, int64[n], each once, and unit quaternions float64[n,4]."""
+    """The agents of a frame: unique identifiers int64[n], and unit quaternions float64[n,4]."""
 
     key: NDArray[np.int64]
     orient: NDArray[np.float64]
 
 
 def smoothed(frames: Mapping[int, Oriented], frame: int, width: int) -> NDArray[np.float32]:
-    """The orientations [n,4] of a frame as weighted means over `width` frames, half of them before it and half after.
+    """Return the orientations [n,4] of a frame as weighted means over `width` frames, half of them before it and half after.
 
-    Weights fall off as a raised cosine (J. von Hann's window). An agent that is not in all of these frames without a break has
-    as many of them as there are on both sides, so one that is born or dies stays as it was there, and nobody lags. Quaternions
-    are added with the sign that lies nearer to the next frame's towards the middle, and brought to length 1: for small angles the
-    mean of F. L. Markley et al., Averaging Quaternions, J. Guidance, Control, and Dynamics 30 (2007)."""
+    Weights fall off as a raised cosine (J. von Hann's window). An agent that is not in all of these frames without a break has as
+    many of them as there are on both sides. So one that is born or dies stays as it was there, and no agent lags.
+
+    Quaternions are added with the sign that lies nearer to the next frame's towards the middle, and normalised. For small angles
+    this is the mean of F. L. Markley et al., Averaging Quaternions, J. Guidance, Control, and Dynamics 30 (2007)."""
     here, half = frames[frame], width // 2
     sides = [_side(frames, frame, way, half) for way in (-1, 1)]
     reach = np.minimum(sides[0][1], sides[1][1])
@@ -114,8 +116,8 @@ def smoothed(frames: Mapping[int, Oriented], frame: int, width: int) -> NDArray[
 
 
 def _side(frames: Mapping[int, Oriented], frame: int, way: int, half: int) -> tuple[list[NDArray[np.float64]], NDArray[np.int64]]:
-    """The orientations of a frame's agents in `half` frames to one side, the nearest first, and for how many of them each is
-    there."""
+    """Return the orientations of a frame's agents in `half` frames to one side, the nearest first. Also return in how many of
+    these frames each agent exists."""
     here = frames[frame]
     last, there, count = here.orient, np.ones(len(here.key), np.bool_), np.zeros(len(here.key), np.int64)
     found = []

@@ -1,4 +1,4 @@
-"""Orientations as angles about x, y and z, as animation curves hold them: without jumps from frame to frame."""
+"""Orientations as angles about x, y and z for animation curves: without jumps between frames."""
 
 from __future__ import annotations
 
@@ -12,15 +12,16 @@ _LOCKED = 1e-6  # cosine of the middle angle below which only the sum or differe
 
 
 class Angles:
-    """Angles about x, then y, then z of agents that are asked for frame by frame. Of all angles that say the same, each agent has
-    those nearest to its last ones, in the sum of squares; of those who come, nearest to 0."""
+    """Angles about x, then y, then z of agents, frame by frame. Of all equivalent angles, each agent gets those nearest to its
+    last ones, in the sum of squares. New agents get those nearest to 0."""
 
     def __init__(self) -> None:
         self._ids: NDArray[np.int64] = np.empty(0, np.int64)
         self._last: Floats = np.empty((0, 3))
 
     def of(self, ids: NDArray[np.int64], orient: NDArray[np.floating]) -> Floats:
-        """Degrees (n, 3) of quaternions (n, 4: x, y, z, w); a quaternion of no length turns nothing. `ids` (n,) ascend."""
+        """Return degrees (n, 3) of quaternions (n, 4: x, y, z, w); a quaternion of zero length gives no rotation. `ids` (n,)
+        ascend."""
         before = np.zeros((len(ids), 3))
         if len(self._ids):
             at = np.minimum(np.searchsorted(self._ids, ids), len(self._ids) - 1)
@@ -31,10 +32,10 @@ class Angles:
 
 
 def nearest_angles(turn: Floats, before: Floats) -> Floats:
-    """Radians (n, 3) about x, then y, then z that make matrices (n, 3, 3) for columns, nearest to those `before`.
+    """Return the angles in radians (n, 3) about x, then y, then z of matrices (n, 3, 3) for columns, nearest to those `before`.
 
-    The outer angle is found first, the others of what is left when it is taken away, so that the three make the matrix even where
-    the middle one is near 90 degrees (M. Day, Extracting Euler Angles from a Rotation Matrix, Insomniac Games, 2014)."""
+    The outer angle is computed first, and the others from the remaining rotation. So the three give the matrix even where the
+    middle angle is near 90 degrees (M. Day, Extracting Euler Angles from a Rotation Matrix, Insomniac Games, 2014)."""
     flat = np.hypot(turn[:, 0, 0], turn[:, 1, 0])
     outer = np.where(flat > _LOCKED, np.arctan2(turn[:, 1, 0], turn[:, 0, 0]), before[:, 2])
     c, s = np.cos(outer), np.sin(outer)
@@ -47,5 +48,5 @@ def nearest_angles(turn: Floats, before: Floats) -> Floats:
 
 
 def _unwound(angles: Floats, before: Floats) -> Floats:
-    """Each by the whole turns that bring it nearest to the one before."""
+    """Return each angle plus the full turns that bring it nearest to the previous one."""
     return angles - 2 * np.pi * np.round((angles - before) / (2 * np.pi))

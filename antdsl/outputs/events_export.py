@@ -1,5 +1,7 @@
-"""Events of a cache in the order of time, for effects and sound: births, deaths, changes of state and footfalls, which two frames
-tell of, and what frames have of their own (`output: {events: …}`): emits and contacts."""
+"""Events of a cache in time order, for effects and sound.
+
+Births, deaths, state changes and footfalls follow from two consecutive frames. Emits and contacts are in the frames themselves
+(`output: {events: …}`)."""
 
 from __future__ import annotations
 
@@ -25,8 +27,9 @@ _UP = np.array([0.0, 1.0, 0.0])
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Events:
-    """Events of one kind and frame: whose (`species` by number, `id`), `place` and `normal` (k, 3), scene units. `what`: the
-    new state, the leg or the event, by its number, -1 for none; for contacts the other one and how `deep` they are."""
+    """Events of one kind and frame. `species` (by number) and `id` name the agents; `place` and `normal` (k, 3) are in scene
+    units. `what`: the number of the new state, the leg or the event, -1 for none. For contacts: the other agent and the
+    penetration depth `deep`."""
 
     kind: str
     species: NDArray[np.int64]
@@ -40,8 +43,8 @@ class Events:
 
 
 def export_csv_events(gallery: Gallery, frames: Iterable[int], path: Path) -> list[str]:
-    """Write events as a table, a row each; `what` is a word. CacheError for a frame that is damaged, OSError where nothing can be
-    written."""
+    """Write events as a table, one row each; `what` is a word. Raises CacheError for a damaged frame, OSError where nothing can
+    be written."""
     frames = list(frames)
     names, digits = [entry.name for entry in gallery.manifest.species], place_digits(gallery)
     with whole_file(path) as file:
@@ -61,8 +64,8 @@ def export_csv_events(gallery: Gallery, frames: Iterable[int], path: Path) -> li
 
 
 def export_npz_events(gallery: Gallery, frames: Iterable[int], path: Path) -> list[str]:
-    """The same as arrays, `KIND.frame`, `KIND.species`, `KIND.id`, `KIND.P`, `KIND.N`, `KIND.what`, and of contacts
-    `other_species`, `other` and `depth`. `origin` float64[3]: what `KIND.P` is relative to."""
+    """Write events as arrays: `KIND.frame`, `KIND.species`, `KIND.id`, `KIND.P`, `KIND.N`, `KIND.what`, and for contacts
+    `other_species`, `other` and `depth`. `KIND.P` is relative to `origin` float64[3]."""
     frames = list(frames)
     found: dict[str, list[tuple[int, Events]]] = {kind: [] for kind in KINDS}
     for frame, each in _all(gallery, frames):
@@ -96,7 +99,8 @@ def _missing(gallery: Gallery, frames: list[int]) -> list[str]:
 
 
 def _all(gallery: Gallery, frames: list[int]) -> Iterator[tuple[int, Events]]:
-    """The events of frames, kind after kind; those of the first are told by the frame before it, where there is one."""
+    """Yield the events of frames, kind after kind. Those of the first frame come from a comparison with the frame before it, if
+    there is one."""
     before: Arrays | None
     try:
         before = gallery.cache.frame(frames[0] - 1)
@@ -143,7 +147,7 @@ def _agents(arrays: Arrays) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
 def _events(
     kind: str, arrays: Arrays, rows: NDArray[np.intp], what: NDArray[Any] | None = None, place: NDArray[np.float64] | None = None
 ) -> Events:
-    """Events of agents at rows of a frame: where they stand unless it is said, and their up."""
+    """Return events of agents at rows of a frame, with their up, and their position unless `place` gives another."""
     none = np.full(len(rows), -1, np.int64)
     _, species = _agents(arrays)
     up = turned(np.asarray(arrays["orient"], np.float64)[rows], np.tile(_UP, (len(rows), 1)))
@@ -154,7 +158,7 @@ def _events(
 
 
 def _kept(arrays: Arrays, begun: set[tuple[int, ...]]) -> Iterator[Events]:
-    """What a frame has of its own; of contacts those that were none in the frame before."""
+    """Yield the events stored in a frame; contacts only if they are not in the frame before."""
     for kind in ("emit", "contact"):
         of = {name.removeprefix(f"events.{kind}."): array for name, array in arrays.items() if name.startswith(f"events.{kind}.")}
         if "id" not in of:
@@ -182,7 +186,7 @@ def _rows(of: dict[str, NDArray[Any]]) -> list[tuple[int, ...]]:
 
 
 def _words(gallery: Gallery, found: Events) -> list[str]:
-    """What happened, in words: the state that begins, the leg that lands, the event that is emitted."""
+    """Return the descriptions of events: the state that begins, the leg that lands, the event that is emitted."""
     species, manifest = found.species.tolist(), gallery.manifest
     if found.kind == "state":
         return [manifest.species[s].machines[0].states[k].name for s, k in zip(species, found.what.tolist(), strict=True)]

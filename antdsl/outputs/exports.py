@@ -27,10 +27,11 @@ _OF_SPECIES = ("clips", "feet", "wears", "channels", "looks", "leans")  # arrays
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Export:
-    """Files of some `endings`. `forms`: by name the functions that write frames of a cache into one; the first is the usual.
-    `each`: the forms that write a file for each frame, with the frame's number before its ending. `options`: by name of a form
-    what it takes beside them, a dataclass. `barred`: what its libraries take for something else in the name of a file. A form
-    returns what was left out or is not as it was, in sentences."""
+    """Export to files with some `endings`. `forms`: by name, the functions that write frames of a cache into a file; the first is
+    the default. A form returns sentences on what was left out or changed.
+
+    `each`: the forms that write one file per frame, with the frame's number before the suffix. `options`: by form, the dataclass
+    of its extra options. `barred`: strings with a special meaning for its libraries in file names."""
 
     endings: tuple[str, ...]
     forms: Mapping[str, Callable[..., Sequence[str] | None]]
@@ -43,7 +44,7 @@ class Export:
         return [numbered(path, frame) for frame in frames] if form in self.each else [path]
 
     def takes(self, form: str) -> frozenset[str]:
-        """The names of what a form takes beside frames and a path."""
+        """Return the names of a form's options other than frames and path."""
         return frozenset(each.name for each in fields(self.options[form])) if form in self.options else frozenset()
 
 
@@ -62,7 +63,7 @@ EXPORTS = (
 )
 
 
-# What else is asked for, and what to write for it: docs/exports.md says why.
+# Other requested endings, and what to write instead: docs/exports.md says why.
 INSTEAD = {
     ".abc": "`.usdc` with `--as meshes`",
     ".bclip": "`.glb`",
@@ -73,13 +74,13 @@ INSTEAD = {
 
 
 def export_for(path: Path) -> Export | None:
-    """The one whose endings the file's is among, in capitals or not."""
+    """Return the export for a path, by its ending in any case; None if there is none."""
     return next((export for export in EXPORTS if path.suffix.lower() in export.endings), None)
 
 
 @dataclass(frozen=True, eq=False)
 class SomeAgents(Cache):
-    """Another cache's agents of some `ids`, in all species; all else as it is there."""
+    """Another cache, restricted to agents with some `ids`, in all species; everything else is unchanged."""
 
     ids: frozenset[int] = frozenset()
 
@@ -100,11 +101,11 @@ class SomeAgents(Cache):
         return found if only is None else {name: array for name, array in found.items() if name in only or name == "frame"}
 
     def _beside(self, only: frozenset[str]) -> set[str]:
-        """The ids that say whose some arrays are."""
+        """Return the names of the ids that some arrays belong to."""
         return {f"{name.rpartition('.')[0]}.id" for name in only if name.startswith(("pairs.", "events."))}
 
     def _rows(self, name: str, arrays: Arrays, by_species: dict[str, NDArray[np.bool_]]) -> NDArray[np.bool_] | None:
-        """The rows of an array of one species that are chosen; None for one that is of no agents."""
+        """Return the rows of the chosen agents in an array; None for an array that is not about agents."""
         word, _, rest = name.partition(".")
         if word in ("pairs", "events"):
             whose = arrays.get(f"{name.rpartition('.')[0]}.id")

@@ -1,4 +1,4 @@
-"""The feelers that a species' program has, so that pictures can show them: how many, how far out, how long."""
+"""The feelers of a species' program, for pictures: their number, spread and length."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _OPS: dict[str, Callable[..., float]] = {
 
 
 def feelers_of(program: Program, species: str, params: Mapping[str, Any], unit_mm: float, dt: float) -> tuple[FeelersEntry, ...]:
-    """All feelers of a species' layers and states. Those whose numbers change from step to step are left out."""
+    """Return all feelers of a species' layers and states. Those with numbers that change from step to step are left out."""
     found = []
     for part in _felt(program.species[species]):
         count, spread, reach = (_value(a, 0.0, params, unit_mm, dt) for a in part.args)
@@ -35,9 +35,9 @@ def feelers_of(program: Program, species: str, params: Mapping[str, Any], unit_m
     return tuple(dict.fromkeys(found))
 
 
-@lru_cache(maxsize=16)  # asked for each frame while an agent is followed
+@lru_cache(maxsize=16)  # read for each frame while an agent is followed
 def _felt(species: Species) -> tuple[SetOf, ...]:
-    """Where feelers are asked for."""
+    """Return the sets of feelers in a species."""
     return tuple(part for part in parts(species) if isinstance(part, SetOf) and part.source == "feelers")
 
 
@@ -61,8 +61,8 @@ def _value(part: Expr | None, size: float, params: Mapping[str, Any], unit_mm: f
 
 def rays(entry: FeelersEntry, position: NDArray[np.float64], ahead: NDArray[np.float64], up: NDArray[np.float64],
          scale: NDArray[np.float64]) -> NDArray[np.float64]:  # fmt: skip
-    """Starts and ends (n · count, 2, 3) of the feelers of agents at `position` (n, 3), unit `ahead` and `up`, of body
-    lengths `scale`."""
+    """Return the start and end points (n · count, 2, 3) of agents' feelers. Inputs: `position` (n, 3), unit `ahead` and `up`,
+    body lengths `scale`."""
     angles = np.linspace(-entry.spread, entry.spread, entry.count) if entry.count > 1 else np.zeros(1)
     side = np.cross(up, ahead)
     reach = (entry.reach + entry.per_length * scale)[:, None]

@@ -1,6 +1,6 @@
-"""Flows as arrows on the ground, few enough to be seen one by one: what a cache keeps of them for pictures.
+"""Flows as arrows on the ground, few enough to be distinguishable, as stored in a cache for pictures.
 
-static.npz  flow.NAME.P f4 (n, 3) where arrows begin, flow.NAME.V f4 (n, 3) how far they point, as at the first frame"""
+static.npz  flow.NAME.P f4 (n, 3) start points of arrows, flow.NAME.V f4 (n, 3) their vectors, as at the first frame"""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from antdsl.outputs.cache.places import scene_places
 from antdsl.runtime.world import World
 
-_ACROSS = 44  # arrows side by side over the longest side of the ground
+_ACROSS = 44  # arrows in a row along the longest side of the ground
 _LONG = 0.85  # of that distance an arrow of strength 1 is long
 _WEAK = 0.02  # flows weaker than so are not drawn
 _LIFT = 0.06
@@ -46,6 +46,6 @@ def arrows(world: World, scale: float) -> dict[str, NDArray[Any]]:
 
 
 def drawn(static: Mapping[str, NDArray[Any]]) -> dict[str, tuple[NDArray[np.float64], NDArray[np.float64]]]:
-    """Where arrows begin and how far they point (n, 3), by the flow's name."""
+    """Return the start points and vectors of arrows (n, 3), by the flow's name."""
     names = [key.removeprefix("flow.").removesuffix(".P") for key in static if key.startswith("flow.") and key.endswith(".P")]
     return {n: (np.asarray(static[f"flow.{n}.P"], np.float64), np.asarray(static[f"flow.{n}.V"], np.float64)) for n in names}

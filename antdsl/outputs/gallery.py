@@ -1,5 +1,5 @@
-"""Frames of a cache to pictures: meshes, agents in the colours of their states, items by what is left of them, scent on the
-ground."""
+"""Conversion of a cache's frames to pictures: meshes, agents in the colours of their states, items by their remaining amount,
+scent on the ground."""
 
 from __future__ import annotations
 
@@ -41,14 +41,15 @@ _LOOKED_AT = 8  # frames that say how strong a field grows
 
 
 class NoPicture(Exception):
-    """Why a cache cannot be drawn, in words that stand alone."""
+    """Reason why a cache cannot be drawn; the message is complete without context."""
 
 
 class Gallery:
-    """Makes pictures of one cache, each of its frame alone, with places relative to `origin` (scene units). With a `window` they
-    hold paths: where each agent is in the frames of so many seconds before and after. `blurred`: they say where agents are in
-    the frame after, too. `full`: by field, the strength that is drawn strongest. Raises NoPicture for a cache without what
-    pictures need, or without such a field."""
+    """Builder of pictures of one cache, each from its own frame, with positions relative to `origin` (scene units).
+
+    With a `window`, pictures have paths: the positions of each agent in the frames of some seconds before and after. `blurred`:
+    they also have the agents' positions in the next frame. `full`: by field, the strength drawn strongest. Raises NoPicture for a
+    cache without the data for pictures, or without such a field."""
 
     def __init__(
         self,
@@ -87,7 +88,7 @@ class Gallery:
         self._places: dict[str, NDArray[np.float64]] = {}
 
     def picture(self, frame: int, *, agents: frozenset[int] = frozenset()) -> Picture:
-        """One frame. With `agents` only those ids have what `ids`, `velocity` and `paths` show."""
+        """Return the picture of one frame. With `agents`, only these ids get what `ids`, `velocity` and `paths` show."""
         arrays = self.cache.frame(frame)
         if self._first is None:
             frames = self.cache.frames()
@@ -108,17 +109,17 @@ class Gallery:
 
     @property
     def camera_moves(self) -> bool:
-        """Whether the scene's own camera is elsewhere in other frames."""
+        """Return whether the scene's own camera changes between frames."""
         return isinstance(self.manifest.camera, CameraEntry) and self.manifest.camera.moves
 
     @property
     def camera_fits(self) -> bool:
-        """Whether the scene wants a camera that holds the crowd in all frames that are drawn."""
+        """Return whether the scene requests a camera that holds the crowd in all drawn frames."""
         return self.manifest.camera == "fit"
 
     def outline(self, frames: Sequence[int]) -> NDArray[np.float64]:
-        """Points (n, 3) that a camera has to hold to hold all agents in frames, some of which are looked at: who is outermost
-        in many directions, and a body's length beyond."""
+        """Return points (n, 3) such that a camera that holds them holds all agents in the frames. The outermost agents in many
+        directions count, plus a margin of one body length; only some of the frames are examined."""
         turn = np.arange(_DIRECTIONS) * (np.pi * (3.0 - np.sqrt(5.0)))  # a spiral that covers a ball evenly
         height = 1.0 - 2.0 * (np.arange(_DIRECTIONS) + 0.5) / _DIRECTIONS
         flat = np.sqrt(1.0 - height * height)
@@ -136,7 +137,8 @@ class Gallery:
         return np.concatenate(found)
 
     def _reaches(self, arrays: Arrays) -> NDArray[np.float64] | float:
-        """How far the body of each agent reaches from where it stands, in its lengths: 1 but for bodies of their own."""
+        """Return the reach of each agent's body from its position, in body lengths: 1 except for species with an agent
+        definition."""
         reach = np.ones(len(self.manifest.species))
         for number, species in enumerate(self.manifest.species):
             if species.definition is not None:
@@ -166,7 +168,7 @@ class Gallery:
         )
 
     def _solids(self, arrays: Arrays) -> tuple[Solid, ...]:
-        """The meshes, those that move as they are in a frame."""
+        """Return the meshes; moving ones as in the frame."""
         moved = {mesh.name: f"mesh.{mesh.name}.vertices" for mesh in self.manifest.meshes if mesh.moves}
         return tuple(
             replace(solid, vertices=np.asarray(arrays[moved[solid.name]], np.float64))
@@ -202,8 +204,8 @@ class Gallery:
         return tuple(made), tuple(legend)
 
     def _whole(self, number: int, frame: int, arrays: Arrays) -> Crowd:
-        """All agents of a species, posed by what the frame says that each plays and shows, over the clip of those who play none,
-        on the feet that it has."""
+        """Return all agents of a species, posed by the clips and appearance in the frame. Agents without a clip play the idle
+        clip. The feet are those of the frame."""
         species, rows = self.manifest.species[number], _rows_of(number, arrays)
         ids = np.asarray(arrays["id"])[rows] if "id" in arrays else rows
         body, count = self.body(number), len(rows)
@@ -222,7 +224,7 @@ class Gallery:
         )
 
     def _dressed(self, crowd: Crowd, number: int, arrays: Arrays) -> list[Crowd]:
-        """A crowd for each set of layers that some wear."""
+        """Return one crowd for each set of layers that some agents wear."""
         masks = worn_masks(self.manifest.species[number], arrays, len(crowd.position))
         sets = [int(mask) for mask in np.unique(masks)] or [0]
         if len(sets) == 1:
@@ -231,7 +233,7 @@ class Gallery:
         return [replace(crowd.rows(rows), worn=self.body(number, mask)) for mask, rows in parts]
 
     def body(self, number: int, mask: int = 0) -> PosedBody:
-        """The body that a species has, with the layers of a mask: its own, kept in the cache, or one of the library."""
+        """Return the body of a species with the layers of a mask: its own, stored in the cache, or one of the library."""
         species = self.manifest.species[number]
         if (number, mask) not in self._worn:
             if number not in self._definitions:
@@ -249,7 +251,7 @@ class Gallery:
             raise NoPicture(f"the body of `{species.name}` in the cache {why}") from None
 
     def _with_lines(self, crowd: Crowd, species: SpeciesEntry, number: int, frame: int) -> Crowd:
-        """The crowd with its paths and the rays of its feelers, where they are to be seen."""
+        """Return the crowd with its paths and the rays of its feelers, where these are displayed."""
         if crowd.ids is not None and self._walks is not None:
             crowd = replace(crowd, paths=self._walks.at(frame, number, np.asarray(crowd.ids, np.int64)))
         if not species.feelers or crowd.ids is None or not len(crowd.position):
@@ -273,7 +275,7 @@ class Gallery:
         return tuple(made)
 
     def _left(self, group: str, attributes: tuple[str, ...], number: int, arrays: Arrays) -> float:
-        """The share of its first amount that an item still has; what had nothing at first is always whole."""
+        """Return the share of its initial amount that an item still has; 1 for an item that started with nothing."""
         for attribute in attributes:
             key = f"items.{group}.{attribute}"
             if self._first is not None and key in self._first and key in arrays:
@@ -298,7 +300,8 @@ class Gallery:
         return tuple(made)
 
     def _strongest(self) -> dict[str, float]:
-        """By field, the strength drawn strongest: one for the whole cache, so that scent is seen to grow and to fade."""
+        """Return the strength drawn strongest, by field. It is the same for the complete cache, so that changes of scent are
+        visible."""
         if self._full is None:
             frames, self._full = self.cache.frames(), {}
             chosen = {frames[round(k * (len(frames) - 1) / (_LOOKED_AT - 1))] for k in range(_LOOKED_AT)} if frames else set()
@@ -313,15 +316,16 @@ class Gallery:
         return self._full
 
     def _grain(self, first: Arrays) -> float | None:
-        """What the ground's grain goes by: the body length in the middle of the first frame, so that no birth changes it."""
+        """Return the length for the ground's grain: the median body length of the first frame, so that births do not change
+        it."""
         lengths = np.asarray(first["pscale"], np.float64)
         lengths = lengths[np.isfinite(lengths) & (lengths > 0)]
         return float(np.median(lengths)) if len(lengths) else None
 
 
 def place_digits(gallery: Gallery) -> str:
-    """How `%` writes a coordinate from the scene's zero point as text: a float32 to its last bit, or with an origin as float64
-    (a millionth of a millimetre at 1000 km)."""
+    """Return the `%` format of a coordinate from the scene's zero point: float32 to its last bit, or with an origin float64 (a
+    millionth of a millimetre at 1000 km)."""
     return "%.15g" if gallery.origin.any() else "%.9g"
 
 
@@ -331,7 +335,7 @@ def _rows_of(number: int, arrays: Arrays) -> NDArray[np.intp]:
 
 
 def _parted(crowd: Crowd, agents: frozenset[int]) -> list[Crowd]:
-    """The crowd, or those agents and the others, of which only the first have ids and velocities to show."""
+    """Return the crowd, or the given agents and the others as two crowds. Only the first has ids and velocities to show."""
     if not agents or crowd.ids is None:
         return [crowd]
     chosen = np.isin(crowd.ids, sorted(agents))

@@ -1,9 +1,9 @@
-"""A cache as Houdini's ASCII geometry (.geo), a file a frame: a point an agent, with what an agent is made from there.
+"""A cache as Houdini's ASCII geometry (.geo), one file per frame: one point per agent, with what it was built from at that point.
 
-The format has no published description; its parts are as open readers take them (`hgeo.py` of cgdougm/HoudiniObj among them):
-a list of keys and values, attributes as `tuples`, `arrays` and tables of `strings` with `indices`. Points have y up, as
-Houdini has it, and `orient` turns +z, along which it lets agents look, to the heading. Points of a world far from the zero point
-are relative to the global attribute `origin`, in double precision."""
+The format has no published description; its parts follow open readers (`hgeo.py` of cgdougm/HoudiniObj among them): a list of
+keys and values, with attributes as `tuples`, `arrays` and tables of `strings` with `indices`. Points have y up, as in Houdini.
+`orient` rotates +z, Houdini's forward axis for agents, to the heading. Points of a world far from the zero point are relative to
+the global attribute `origin`, in double precision."""
 
 from __future__ import annotations
 
@@ -34,9 +34,9 @@ _MOST = 1e6  # a clip that covers others wholly weighs so much more than they
 
 
 def export_geo(gallery: Gallery, frames: Iterable[int], path: Path) -> None:
-    """Write a file of points for each frame; `path` without the number, which stands before its ending.
+    """Write a file of points for each frame. The frame number is inserted before the suffix of `path`.
 
-    CacheError for a frame that is damaged, OSError where nothing can be written. The files are not synced."""
+    Raises CacheError for a damaged frame, OSError where nothing can be written. The files are not synced."""
     for frame in frames:
         arrays = gallery.cache.frame(frame)
         text = json.dumps(_geometry(gallery, frame, arrays), separators=(",", ":"), allow_nan=False)
@@ -61,7 +61,7 @@ def _geometry(gallery: Gallery, frame: int, arrays: Arrays) -> list[Any]:
 
 
 def _of_points(gallery: Gallery, frame: int, arrays: Arrays) -> dict[str, tuple[NDArray[Any], str]]:
-    """The numbers of each agent by attribute, with what kind of vector they are."""
+    """Return the numeric attributes of agents, each with its kind of vector."""
     z_up, count = gallery.manifest.up == "z", len(arrays["P"])
     turn = unit_quaternion(np.asarray(arrays["orient"], np.float64))
     found = {"P": (_upright(arrays["P"], z_up), "point")}
@@ -82,7 +82,7 @@ def _of_points(gallery: Gallery, frame: int, arrays: Arrays) -> dict[str, tuple[
 
 
 def _names(gallery: Gallery, arrays: Arrays) -> dict[str, tuple[list[str], NDArray[np.int64]]]:
-    """The texts of each agent: a table of them, and the number of each agent's, -1 for none."""
+    """Return the text attributes of agents: a table of texts, and the index of each agent's, -1 for none."""
     manifest, count = gallery.manifest, len(arrays["P"])
     which = _which(arrays)
     species = [entry.name for entry in manifest.species]
@@ -100,7 +100,7 @@ def _names(gallery: Gallery, arrays: Arrays) -> dict[str, tuple[list[str], NDArr
 
 
 def _clip_numbers(gallery: Gallery, arrays: Arrays) -> dict[str, tuple[NDArray[Any], str]]:
-    """`clipN_time` in seconds and `clipN_weight` of what each agent plays."""
+    """Return `clipN_time` in seconds and `clipN_weight` of the clips that each agent plays."""
     found: dict[str, tuple[NDArray[Any], str]] = {}
     for number, entry, rows, machines in _players(gallery, arrays):
         seconds = _seconds(gallery, number, entry)
@@ -124,7 +124,7 @@ def _clip_names(gallery: Gallery, arrays: Arrays) -> dict[str, tuple[list[str], 
 
 
 def _players(gallery: Gallery, arrays: Arrays) -> list[tuple[int, SpeciesEntry, NDArray[np.intp], tuple[MachineClips, ...]]]:
-    """The species that play clips: number, entry, rows and what their machines play."""
+    """Return the species that play clips: number, entry, rows and the clips of their machines."""
     found = []
     for number, entry in enumerate(gallery.manifest.species):
         rows = np.flatnonzero(_which(arrays) == number)
@@ -135,8 +135,10 @@ def _players(gallery: Gallery, arrays: Arrays) -> list[tuple[int, SpeciesEntry, 
 
 
 def _slots(machines: Iterable[MachineClips], count: int) -> list[tuple[NDArray[np.int64], Floats, Floats]]:
-    """Of each machine the clip that gives way and its clip: number, turns, weight. Where weights are normalised at each joint, as
-    Houdini does, a machine's clips take as much of what is below them as they weigh together: with up to two machines exactly."""
+    """Return two slots per machine, the outgoing clip and the current one: number, turns, weight.
+
+    Houdini normalises weights at each joint. There, a machine's clips replace the clips below them by their total weight; this is
+    exact for up to two machines."""
     found, below = [], np.zeros(count)
     for machine in machines:
         fade = np.clip(machine.fade, 0, 1).astype(np.float64)
@@ -153,7 +155,7 @@ def _slots(machines: Iterable[MachineClips], count: int) -> list[tuple[NDArray[n
 
 
 def _seconds(gallery: Gallery, number: int, entry: SpeciesEntry) -> Floats:
-    """How long each clip of a species takes, 1 where no body says so; 0 behind the last, for none."""
+    """Return the duration of each clip of a species, 1 where no body gives one; the last entry is 0, for no clip."""
     body = gallery.body(number)
     clips = {} if body is None else body.definition.clips
     return np.array([*(clips[each.name].duration if each.name in clips else 1.0 for each in entry.clips), 0.0])
@@ -164,7 +166,8 @@ def _which(arrays: Arrays) -> NDArray[np.int64]:
 
 
 def _spin(gallery: Gallery, frame: int, arrays: Arrays, turn: Floats) -> Floats:
-    """Angular velocity (n, 3), radians a second: how each turns until the next frame, or has since the frame before."""
+    """Return angular velocities (n, 3), radians per second: the rotation of each agent to the next frame, or from the frame
+    before."""
     for other, sign in ((frame + 1, 1.0), (frame - 1, -1.0)):
         try:
             there = gallery.cache.frame(other, frozenset(["orient", "id", "species"]))
@@ -210,7 +213,7 @@ def _numbers(name: str, values: NDArray[Any], kind: str = "", storage: str = "fp
 
 
 def _strings(name: str, table: list[str], indices: NDArray[np.int64]) -> list[Any]:
-    """An attribute of texts: each is one of a table."""
+    """Return a text attribute, with its values as indices of a table."""
     return [
         ["scope", "public", "type", "string", "name", name, "options", {}],
         ["size", 1, "storage", "int32", "strings", table,

@@ -1,7 +1,7 @@
-"""A cache as one glTF 2.0 file: each agent a node with the joints of its body, animated; meshes and skins by definition, shared.
+"""A cache as one glTF 2.0 file: each agent is a node with animated joints; meshes and skins are shared per definition.
 
-Khronos Group, glTF 2.0 Specification, 2021. A node `World` turns and scales the scene into glTF's axes and metres, and moves it
-by its origin; meshes with a skin stand beside it, since their own place does not count."""
+Khronos Group, glTF 2.0 Specification, 2021. A node `World` converts the scene to glTF's axes and metres, and moves it by its
+origin. Meshes with a skin are beside it, since their own transform is ignored."""
 
 from __future__ import annotations
 
@@ -34,10 +34,10 @@ Floats = NDArray[np.float64]
 
 
 def export_gltf(gallery: Gallery, frames: Iterable[int], path: Path) -> list[str]:
-    """Write agents with their joints, meshes, items and the camera, animated over these frames, and give what of it glTF cannot
-    hold, in sentences.
+    """Write agents with their joints, meshes, items and the camera, animated over these frames. Return sentences on what glTF
+    cannot represent.
 
-    NoExport for more than glTF is good for, CacheError for a frame that is damaged, OSError where nothing can be written."""
+    Raises NoExport beyond the limits of glTF, CacheError for a damaged frame, OSError where nothing can be written."""
     frames = list(frames)
     crowd = _Crowd.gathered(gallery, frames)
     stage = Stage(gallery, frames)
@@ -52,8 +52,9 @@ def export_gltf(gallery: Gallery, frames: Iterable[int], path: Path) -> list[str
 
 @dataclass(slots=True, eq=False)
 class _Body:
-    """What agents with one body do: their `ids`, the frame numbers (from 0) in which there are rows, and for each row the `place`
-    float64[4, 4], `local` float32[J, 4, 4] and `channels` float32[C]; `colour` display values of each id when it first is."""
+    """Animation of the agents with one body: their `ids`, the frame numbers (from 0) of their rows, and for each row `place`
+    float64[4, 4], `local` float32[J, 4, 4] and `channels` float32[C]. `colour` has display values of each id at its first
+    frame."""
 
     worn: PosedBody
     frame: list[NDArray[np.int64]] = field(default_factory=list)
@@ -69,7 +70,7 @@ class _Crowd:
     """The agents of a cache by species and body."""
 
     bodies: dict[Worn, _Body]
-    turned: set[str] = field(default_factory=set)  # species whose agents change colour
+    turned: set[str] = field(default_factory=set)  # species with colour changes
 
     @staticmethod
     def gathered(gallery: Gallery, frames: list[int]) -> _Crowd:
@@ -153,7 +154,7 @@ def _shape(writer: GltfWriter, worn: PosedBody, name: str) -> ShapeParts:
 
 
 def _materials(stage: Stage, worn: PosedBody, colour: tuple[float, ...]) -> dict[str, int]:
-    """The numbers of the materials of a body, in an agent's colour: triangles without a material have that of its state."""
+    """Return the numbers of a body's materials. Triangles without a material have the agent's state colour."""
     state = tuple(float(part) for part in decoded(np.array(colour)))
     own: dict[str, Any] = dict(worn.definition.materials)
     return {

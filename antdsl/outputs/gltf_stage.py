@@ -1,4 +1,4 @@
-"""The scene of a glTF file that is being made: nodes with keys over time, meshes of the world, items, the camera."""
+"""The scene of a glTF file under construction: nodes with keys over time, meshes of the world, items, the camera."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ Floats = NDArray[np.float64]
 
 @dataclass(slots=True, eq=False)
 class _Moving:
-    """A mesh or an item: its node, and what it does over time."""
+    """A mesh or an item: its node and its animation."""
 
     node: int
     frames: list[int] = field(default_factory=list)
@@ -38,7 +38,8 @@ class _Moving:
 
 
 class Stage:
-    """Frames count from 0 here, in the order of `frames`; one of the cache that is missing leaves its time."""
+    """The scene of a glTF file. Frames are counted from 0 in the order of `frames`; a frame missing from the cache still takes
+    its time."""
 
     def __init__(self, gallery: Gallery, frames: list[int]) -> None:
         self.gallery, self.frames = gallery, frames
@@ -78,7 +79,7 @@ class Stage:
         return number
 
     def agent(self, name: str, frames: NDArray[np.int64], move: Floats, turn: Floats, size: Floats) -> int:
-        """The node of an agent, where it is in some frames; in others it has no size."""
+        """Return the node of an agent, with its transforms in some frames. In other frames its scale is 0."""
         node = self._node(self._world, {"name": name})
         self._keys(node, frames, move, turn, None)
         there = np.zeros(len(self.frames), np.bool_)
@@ -92,13 +93,13 @@ class Stage:
         return node
 
     def joint(self, above: int, name: str, frames: NDArray[np.int64], move: Floats, turn: Floats, size: Floats) -> int:
-        """The node of a joint, with keys where it does not stay."""
+        """Return the node of a joint, with keys for the components that change."""
         node = self._node(above, {"name": name})
         self._keys(node, frames, move, turn, size)
         return node
 
     def body(self, above: int | None, name: str, mesh: int, skin: int | None) -> int:
-        """The node of a mesh, of one with a skin beside the world."""
+        """Return the node of a mesh. With a skin, the node is placed beside the world's."""
         return self._node(above, {"name": name, "mesh": mesh} | ({} if skin is None else {"skin": skin}))
 
     def weights(self, node: int, frames: NDArray[np.int64], values: NDArray[np.float32]) -> None:
@@ -110,7 +111,7 @@ class Stage:
             self._channel(node, "weights", frames, values, "LINEAR")
 
     def _keys(self, node: int, frames: NDArray[np.int64], move: Floats | None, turn: Floats | None, size: Floats | None) -> None:
-        """The values of a node where they stay, else keys."""
+        """Write constant components as values of the node, others as keys."""
         entry = self.writer.entry("nodes", node)
         turn = None if turn is None else one_sign(turn)
         for path, values, still in (
@@ -125,7 +126,7 @@ class Stage:
                 self._channel(node, path, frames, kept, "LINEAR")
 
     def _channel(self, node: int, path: str, frames: NDArray[np.int64], values: NDArray[Any], kind: str) -> None:
-        """Keys of a node, less those that lie within a stretch without change."""
+        """Write keys of a node, without those inside a constant stretch."""
         kept = np.ones(len(frames), np.bool_)
         if kind == "LINEAR" and len(frames) > 2:
             same = (values[1:] == values[:-1]).all(axis=1)
@@ -247,8 +248,8 @@ class Stage:
 
 
 def _rigid(first: Floats, then: Floats) -> tuple[Floats, Floats, float]:
-    """The rotation (x y z w) and the way by which points go best from where they were to where they are, and by how much the
-    worst is off (Kabsch, 1976)."""
+    """Return the rotation (x y z w) and translation that best map points from their first to their later positions, and the
+    largest error (Kabsch, 1976)."""
     if np.array_equal(first, then):
         return np.array([0.0, 0.0, 0.0, 1.0]), np.zeros(3), 0.0
     a, b = first.mean(axis=0), then.mean(axis=0)

@@ -25,11 +25,12 @@ _BATCH = 64  # agents that are posed at once
 
 
 def export_meshes(gallery: Gallery, frames: Iterable[int], path: Path) -> list[str]:
-    """Write the posed bodies of agents as one mesh a frame, in scene units, agent after agent by species and id: the n-th point
-    is the same point of the same agent in each. Who is not there in all the frames is left out, and told of.
+    """Write the posed bodies of agents as one mesh a frame, in scene units. Agents are in order of species and id. The n-th point
+    is the same point of the same agent in each frame. Agents that are not in all frames are left out; returns messages about
+    them.
 
-    NoExport where none of the agents is there in all frames or for too many points, CacheError for a frame that is damaged,
-    OSError where nothing can be written."""
+    Raises NoExport if no agent is in all frames or there are too many points, CacheError for a damaged frame, OSError if writing
+    fails."""
     frames = list(frames)
     there, notes = _throughout(gallery, frames)
     for frame in frames:
@@ -38,8 +39,8 @@ def export_meshes(gallery: Gallery, frames: Iterable[int], path: Path) -> list[s
 
 
 def export_usd_meshes(gallery: Gallery, frames: Iterable[int], path: Path) -> list[str]:
-    """The same as USD: a mesh an agent, `/World/SPECIES/agent_ID`, with points and normals over time. UsdError without
-    usd-core."""
+    """Write the meshes as USD: one mesh per agent, `/World/SPECIES/agent_ID`, with points and normals over time. Raises UsdError
+    without usd-core."""
     frames = list(frames)
     there, notes = _throughout(gallery, frames)
     usd, geom = pxr("Usd"), pxr("UsdGeom")
@@ -79,7 +80,7 @@ def _usd_mesh(out: Out, part: Part) -> tuple[Samples, ...]:
 
 
 def _throughout(gallery: Gallery, frames: list[int]) -> tuple[dict[Worn, set[int]], list[str]]:
-    """The ids of agents that are there in all frames in the same layers, by species and these, and what is to be told."""
+    """Return the ids of agents that are in all frames in the same layers, by species and layers, and messages."""
     there: dict[Worn, set[int]] = {}
     seen: dict[Worn, set[int]] = {}
     for k, frame in enumerate(frames):

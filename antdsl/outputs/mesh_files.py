@@ -29,9 +29,11 @@ class Part:
 
 
 def write_mesh(path: Path, parts: Sequence[Part], origin: NDArray[np.float64]) -> None:
-    """Write meshes into one file, one after the other, by its ending: `.ply`, or `.obj`, where each is an object by its name.
-    Normals and colours are written where all parts have them (colours: PLY alone). `origin`: what points are relative to; with
-    one they are written in double precision. The file is not synced."""
+    """Write meshes into one file, one after the other. The suffix selects the format: `.ply`, or `.obj` with one named object per
+    mesh.
+
+    Normals and colours are written where all parts have them (colours: PLY only). `origin`: the point that positions are relative
+    to; with one, they are written in double precision. The file is not synced."""
     starts = np.cumsum([0, *(len(part.points) for part in parts)])
     points: Floats = np.concatenate([np.zeros((0, 3)), *(part.points for part in parts)]).astype(np.float32)
     if origin.any():
@@ -69,7 +71,7 @@ def _write_ply(
 def _write_obj(
     file: IO[bytes], parts: Sequence[Part], starts: NDArray[np.int64], points: Floats, normals: NDArray[np.float32] | None
 ) -> None:
-    """Numbers of points go on from object to object, as the format has it."""
+    """Write an OBJ file. Point numbers continue from object to object, as the format requires."""
     vertex = "v %.15g %.15g %.15g\n" if points.dtype == np.float64 else "v %.9g %.9g %.9g\n"
     for part, start in zip(parts, starts, strict=False):
         rows = slice(start, start + len(part.points))

@@ -1,11 +1,10 @@
-"""A cache as one NPZ file: each array of its frames end to end, with where each frame begins.
+"""A cache as one NPZ file: each array of its frames, concatenated, with the start of each frame.
 
 frames          int64[F]: their numbers
-rows            int64[F + 1]: the agents of frame k are the rows `rows[k]:rows[k + 1]` of `P`, `id` and all that is of agents
-NAME            any other array of a frame, end to end, and NAME.rows int64[F + 1] the same for it
-about           uint8: a JSON text: units, up, origin (what places are relative to), fps, species with their states, clips and
-                machines, arrays of agents
-"""
+rows            int64[F + 1]: the agents of frame k are the rows `rows[k]:rows[k + 1]` of `P`, `id` and all arrays of agents
+NAME            any other array of a frame, concatenated, and NAME.rows int64[F + 1] as its `rows`
+about           uint8: a JSON text: units, up, origin (the point that positions are relative to), fps, species with their
+                states, clips and machines, arrays of agents"""
 
 from __future__ import annotations
 
@@ -27,9 +26,9 @@ Arrays = dict[str, NDArray[Any]]
 
 
 def export_arrays(gallery: Gallery, frames: Iterable[int], path: Path) -> None:
-    """Write all arrays of these frames into one NPZ file, array by array, so that no more than one of a frame is in memory.
+    """Write all arrays of these frames into one NPZ file, array by array, so that memory holds one array of one frame at a time.
 
-    CacheError for a frame that is damaged, OSError where nothing can be written."""
+    Raises CacheError for a damaged frame, OSError where nothing can be written."""
     cache, frames = gallery.cache, list(frames)
     shapes: dict[str, tuple[np.dtype[Any], tuple[int, ...]]] = {}
     counts: dict[str, NDArray[np.int64]] = {}

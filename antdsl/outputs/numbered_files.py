@@ -1,4 +1,4 @@
-"""Names of files of which there is one for each frame, and why a cache cannot be written in some form."""
+"""Names of files with one per frame, and the reasons why a cache cannot be exported in some form."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from pathlib import Path
 
 
 class NoExport(Exception):
-    """Why a cache cannot be written so, in words that stand alone; `help`: what to do."""
+    """Reason why a cache cannot be exported in this form; the message is complete without context. `help`: what to do."""
 
     def __init__(self, message: str, help: str = "") -> None:
         super().__init__(message)
@@ -15,7 +15,8 @@ class NoExport(Exception):
 
 
 def numbered(path: Path, frame: int) -> Path:
-    """The file of a frame: its number takes the place of `####`, with as many digits, or stands before the ending, with four."""
+    """Return the file of a frame. Its number replaces `####`, with as many digits, or is inserted before the suffix, with
+    four."""
     found = re.search("#+", path.stem)
     if found:
         name = f"{path.stem[: found.start()]}{frame:0{len(found[0])}d}{path.stem[found.end() :]}"

@@ -31,7 +31,7 @@ class Window:
 
     @staticmethod
     def of(text: str) -> Window | None:
-        """From words such as `1..2`; None when they are not such, or ask for more than MOST_SECONDS."""
+        """Parse text such as `1..2`; None for other text, or for more than MOST_SECONDS."""
         found = re.fullmatch(r"\s*(\d+(?:\.\d+)?)\s*\.\.\s*(\d+(?:\.\d+)?)\s*", text)
         made = None if found is None else Window(float(found[1]), float(found[2]))
         return None if made is None or max(made.before, made.after) > MOST_SECONDS else made
@@ -39,7 +39,7 @@ class Window:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Seen:
-    """A frame's agents: places a little above the ground, float32[n,3]; numbers and species, in ascending order of both."""
+    """The agents of a frame: positions slightly above the ground, float32[n,3]; ids and species, in ascending order of both."""
 
     place: NDArray[np.float32]
     ids: NDArray[np.int64]
@@ -47,7 +47,7 @@ class _Seen:
 
 
 class Walks:
-    """The frames round about those that are drawn, each read once as long as frames are asked for in order."""
+    """The frames around those that are drawn, each read once as long as the requested frames are in order."""
 
     def __init__(self, cache: Cache, dt: float, window: Window) -> None:
         self._cache, self._window = cache, window
@@ -56,7 +56,7 @@ class Walks:
         self._kept: OrderedDict[int, _Seen | None] = OrderedDict()
 
     def at(self, frame: int, species: int, ids: NDArray[np.int64]) -> Paths:
-        """The paths of some agents of one species; not a number in frames in which an agent is not there, or that are not."""
+        """Return the paths of some agents of one species; NaN in frames that do not exist or lack the agent."""
         places = np.full((len(ids), self._before + 1 + self._after, 3), np.nan)
         for k in range(places.shape[1]):
             seen = self._seen(frame - self._before + k)
@@ -96,8 +96,8 @@ class Walks:
 
 
 def followed(now: Crowd, later: Crowd) -> Crowd:
-    """The agents of `now`, in its order, as they are in `later`, which has them in any order; who is gone by then stays as it
-    is. Both have ids."""
+    """Return the agents of `now`, in its order, with their values in `later`, which may have another order. Agents missing in
+    `later` are unchanged. Both have ids."""
     own, ids = np.asarray(now.ids), np.asarray(later.ids)
     order = np.argsort(ids, kind="stable")
     at, there = matched(own, ids[order])
@@ -119,7 +119,7 @@ def followed(now: Crowd, later: Crowd) -> Crowd:
 
 
 def matched(ids: NDArray[np.int64], others: NDArray[np.int64]) -> tuple[NDArray[np.intp], NDArray[np.bool_]]:
-    """Where each id stands among others, which ascend, and whether it does."""
+    """Return the index of each id among others, which ascend, and whether it is among them."""
     if len(ids) == len(others) and np.array_equal(ids, others):
         return np.arange(len(ids)), np.ones(len(ids), np.bool_)
     at = np.minimum(np.searchsorted(others, ids), max(len(others) - 1, 0))
@@ -127,7 +127,7 @@ def matched(ids: NDArray[np.int64], others: NDArray[np.int64]) -> tuple[NDArray[
 
 
 def _joined(one: Any, other: Any) -> Any:
-    """The rows of both, one after the other; None where one has none."""
+    """Return the rows of both, concatenated; None where one of them is None."""
     if one is None or other is None:
         return None
     if isinstance(one, np.ndarray):
@@ -137,5 +137,5 @@ def _joined(one: Any, other: Any) -> Any:
     if isinstance(one, tuple):
         return tuple(_joined(a, b) for a, b in zip(one, other, strict=False))
     if not is_dataclass(one) or isinstance(one, type):
-        return one  # the same for all rows
+        return one  # one for all rows
     return type(one)(*(_joined(getattr(one, field.name), getattr(other, field.name)) for field in fields(one)))

@@ -2,13 +2,12 @@
 
 For each species K:
 
-    K.id int64[r], K.rows int64[F + 1]   whose each row is; frame k has the rows `rows[k]:rows[k + 1]`
+    K.id int64[r], K.rows int64[F + 1]   agent of each row; frame k has the rows `rows[k]:rows[k + 1]`
     K.place float64[r, 4, 4]             from the space of the body to the scene, from its zero point
     K.world, K.local float32[r, J, 4, 4] of each joint, in the space of the body and in that of its parent
     K.channels float32[r, C]
     frames int64[F]
-    about uint8                          a JSON text: of each body its joints, their parents, its channels
-"""
+    about uint8                          a JSON text: of each body its joints, their parents, its channels"""
 
 from __future__ import annotations
 
@@ -38,7 +37,7 @@ FEWER = "choose fewer with `--ids 0..20` or `--frames A..B`"
 
 @dataclass(slots=True)
 class _Rows:
-    """What there is of one body so far; `counts` by frame."""
+    """The data of one body so far; `counts` is by frame."""
 
     body: Definition
     counts: list[int] = field(default_factory=list)
@@ -49,10 +48,9 @@ NONE = "no agent is there in these frames"
 
 
 def export_poses(gallery: Gallery, frames: Iterable[int], path: Path) -> list[str]:
-    """Write the transforms of all joints and the values of all channels of each agent, as the crowd is posed when it is drawn.
+    """Write the transforms of all joints and the values of all channels of each agent, as posed in pictures.
 
-    NoExport where there are more than fit into memory, CacheError for a frame that is damaged, OSError where nothing can be
-    written."""
+    Raises NoExport where the data exceeds the memory, CacheError for a damaged frame, OSError where nothing can be written."""
     frames = list(frames)
     found: dict[str, _Rows] = {}
     size = 0
@@ -82,13 +80,12 @@ Worn = tuple[str, tuple[str, ...]]  # a species, and the layers that agents of i
 
 
 def worn_crowds(picture: Picture) -> list[tuple[Worn, Crowd, PosedBody]]:
-    """The crowds of a picture that are not empty, each by its species and layers."""
+    """Return the non-empty crowds of a picture, each with its species and layers."""
     return [((crowd.species, crowd.worn.layers), crowd, crowd.worn) for crowd in picture.crowds if len(crowd.position)]
 
 
 def places(crowd: Crowd, body: Definition) -> NDArray[np.float64]:
-    """Matrices float64[n, 4, 4] from the space of a definition to the scene (from its origin): what brings each agent into its
-    place."""
+    """Return matrices float64[n, 4, 4] from the space of a definition to the scene (relative to its origin), one per agent."""
     found = np.tile(np.eye(4), (len(crowd.position), 1, 1))
     found[:, :3, :3] = rotation(np.asarray(crowd.orient, np.float64)) * np.asarray(crowd.scale)[:, None, None]
     found[:, :3] = found[:, :3] @ body.base()

@@ -1,4 +1,5 @@
-"""What a cache was made with: a hash of antdsl's sources, versions of what computes its numbers, the platform, the command."""
+"""The environment in which a cache was made: a hash of antdsl's sources, versions of the numerical packages, the platform, the
+command."""
 
 from __future__ import annotations
 
@@ -29,19 +30,22 @@ _LONGEST = 2000  # characters of a command
 
 
 def provenance(scene: str, frames: FrameRange, seed: int, inputs: Mapping[str, str]) -> Provenance:
-    """What this process makes a cache with. `scene` is the name of the scene's file, `inputs` those of the run."""
+    """Return the provenance of a cache that this process makes. `scene` is the name of the scene's file, `inputs` are those of
+    the run."""
     return Provenance(sources=sources(), command=command(scene, frames, seed, inputs), **_versions())
 
 
 def command(scene: str, frames: FrameRange, seed: int, inputs: Mapping[str, str]) -> str:
-    """The command that makes the same frames. It names no folder and nothing that changes no result, such as `--out` and
-    `--threads`: the same run gives the same bytes wherever it is, and a cache that is passed on tells nothing of a machine."""
+    """Return the command that makes the same frames.
+
+    It names no folder, and no option that does not change results, such as `--out` and `--threads`. So the same run gives the
+    same bytes anywhere, and a cache reveals nothing about the machine."""
     return shlex.join(_words(scene, frames, seed, inputs))[:_LONGEST]
 
 
 def resume_command(folder: Path) -> str:
-    """The command that completes a cache or makes its damaged frames again, as far as its manifest says. Every word of the
-    manifest is quoted: it may be a stranger's."""
+    """Return the command that completes a cache or makes its damaged frames again, as far as the manifest allows. Every word of
+    the manifest is quoted, since the manifest may come from a stranger."""
     try:
         manifest = read_manifest(folder)
     except ManifestError:
@@ -86,7 +90,7 @@ def _versions() -> Mapping[str, str]:
 
 
 def _llvm() -> str:
-    """LLVM's version and llvmlite's; empty where there is no machine code."""
+    """Return the versions of LLVM and llvmlite; empty where machine code is not available."""
     if machine.unavailable():
         return ""
     import llvmlite

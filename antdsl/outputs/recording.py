@@ -1,4 +1,5 @@
-"""Simulates a shot into a cache, from the beginning or from the last good checkpoint, one frame at a time for whoever watches."""
+"""Simulates a shot into a cache, from the beginning or from the last good checkpoint, and yields after each frame for callers
+that watch."""
 
 from __future__ import annotations
 
@@ -33,7 +34,7 @@ from antdsl.scene.values import FrameRange
 
 @dataclass(slots=True, eq=False)
 class Recording:
-    """How far a run has come. `stop` asked for between frames ends it at the next, with a checkpoint."""
+    """The progress of a run. If `stop` is set between frames, the run ends at the next frame, with a checkpoint."""
 
     shot: Shot
     folder: Path
@@ -44,7 +45,7 @@ class Recording:
     damaged: list[int] = field(default_factory=list)  # checkpoints of an earlier run that are of no use
     notes: list[str] = field(default_factory=list)  # what of an earlier run was damaged, and is made again
     static: dict[str, NDArray[Any]] = field(default_factory=dict)  # what stands in the cache for the whole run
-    frame: int | None = None  # the last that was handed over to be written
+    frame: int | None = None  # the last that was passed to the writer
     stop: bool = False
     hash: str = ""  # of the last frame that is known to be written
     surface_error: float | None = 0.0  # the greatest of all frames, in body lengths; None where those before are not known of
@@ -65,7 +66,7 @@ class Recording:
         self.seconds[what] = self.seconds.get(what, 0.0) + time.perf_counter() - since
 
     def written(self, found: Mapping[str, Any]) -> None:
-        """Take in what was found out about a frame as it was written."""
+        """Record the results of a frame that was written."""
         for of, name in ((self.made, "made"), (self.behind, "seconds")):
             for what, seconds in found.get(name, {}).items():
                 of[what] = of.get(what, 0.0) + seconds
@@ -78,10 +79,9 @@ class NothingToResume(Exception):
 
 
 def begin(shot: Shot, folder: Path, options: Options, *, resume: bool, force: bool) -> Recording:
-    """Bind the shot, with feet; with `resume`, put the world where the last good checkpoint left it.
+    """Bind the shot, with feet. With `resume`, restore the world from the last good checkpoint.
 
-    A checkpoint is good when the files of all frames up to it are whole and the world made from it has the hash that the cache
-    has for that frame."""
+    A good checkpoint has complete files for all frames up to it, and the world restored from it has the cached hash."""
     inputs, options = {**shot.inputs, **start_hash(shot)}, replace(options, feet=True)
     kept: Whole | None = None
     if resume:
@@ -106,7 +106,7 @@ def begin(shot: Shot, folder: Path, options: Options, *, resume: bool, force: bo
 
 
 def _chosen_otherwise(shot: Shot, inputs: Mapping[str, str], found: DifferentInputs) -> DifferentInputs:
-    """The same with the seed, the first frame and `--set` in words, where they are what differs."""
+    """Return the exception with messages for the seed, the first frame and `--set`, where these differ."""
     then, scene, names = found.manifest, shot.scene, list(found.names)
     choices = []
     frames = FrameRange(then.first, max(then.first, shot.frames.last))
@@ -122,7 +122,7 @@ def _chosen_otherwise(shot: Shot, inputs: Mapping[str, str], found: DifferentInp
 
 
 def _go_on(recording: Recording, kept: Whole, options: Options) -> None:
-    """Put the world where the last good checkpoint left it, and note what was damaged and is made again."""
+    """Restore the world from the last good checkpoint, and record what was damaged and will be made again."""
     shot, lines, found = recording.shot, kept.cache.lines(), [] if kept.broken is None else [kept.broken]
     for frame in kept.points:
         why = _restored(recording, kept.cache, frame, lines[frame])
@@ -153,7 +153,7 @@ def _go_on(recording: Recording, kept: Whole, options: Options) -> None:
 
 
 def _damaged(recording: Recording, cache: Cache, lines: Mapping[int, Line], before: int) -> Iterator[str]:
-    """Why checkpoints before a frame are of no use; they are noted to be removed."""
+    """Yield why checkpoints before a frame are unusable, and mark them for removal."""
     for frame in cache.checkpoints():
         why = cache.checkpoint_damage(frame, lines.get(frame)) if frame < before else None
         if why is not None:
@@ -162,7 +162,8 @@ def _damaged(recording: Recording, cache: Cache, lines: Mapping[int, Line], befo
 
 
 def _restored(recording: Recording, cache: Cache, frame: int, line: Line) -> str | None:
-    """Put the world, and what was measured, where a checkpoint left it; why that is not possible, in words that stand alone."""
+    """Restore the world and the measurements from a checkpoint. Return why that is not possible, complete without context, or
+    None."""
     world, path = recording.world, checkpoint_path(cache.folder, frame)
     why = cache.checkpoint_damage(frame, line)
     if why is not None:
@@ -180,9 +181,9 @@ def _restored(recording: Recording, cache: Cache, frame: int, line: Line) -> str
 
 
 def record(recording: Recording, watch: Callable[[str, int], None] = lambda what, frame: None) -> Iterator[Recording]:
-    """Simulate and write; gives the recording after each frame. `watch(what, frame)` is told of the preroll's frames too.
+    """Simulate and write; yield the recording after each frame. `watch(what, frame)` is called for the preroll's frames too.
 
-    When it ends, by itself or because `stop` was set, the last frame has a checkpoint."""
+    At the end, automatic or because `stop` was set, the last frame has a checkpoint."""
     shot, world = recording.shot, recording.world
     model = shot.scene.model
     pieces = PieceMaker(shot.frames.first, model.output.checkpoint, 1.0 / shot.setting.unit_mm)
@@ -237,7 +238,8 @@ def record(recording: Recording, watch: Callable[[str, int], None] = lambda what
 
 
 def _advance(recording: Recording, what: str) -> None:
-    """One step, its time counted as `what`; that of the very first, which also loads kernels and makes tables, apart."""
+    """Run one step and count its time as `what`. The very first step is counted separately, since it also loads kernels and
+    computes tables."""
     began = time.perf_counter()
     meter = recording.meter if what == "step" and "first_step" in recording.seconds else None
     if meter is not None:
@@ -255,7 +257,8 @@ def _advance(recording: Recording, what: str) -> None:
 
 
 def _is_checkpoint(recording: Recording, frame: int) -> bool:
-    """The first frame and every so many after it; a run that is continued keeps to the same frames."""
+    """Return whether a frame has a checkpoint: the first frame and every n-th after it. A continued run has them at the same
+    frames."""
     return (frame - recording.shot.frames.first) % recording.shot.scene.model.output.checkpoint == 0
 
 
@@ -284,15 +287,15 @@ def _camera(shot: Shot, origin: NDArray[np.float64]) -> CameraEntry | Literal["f
 
 
 def _file_camera(camera: CameraData, origin: NDArray[np.float64], scale: float) -> CameraEntry:
-    """A camera that a file brought, as it is in the first frame."""
+    """Return the entry of a camera from a file, as in the first frame."""
     rows = ((camera.at[0] - origin) * scale, (camera.look_at[0] - origin) * scale, camera.up[0])
     at, look_at, up = (tuple(float(v) for v in row) for row in rows)
     return CameraEntry(at=at, look_at=look_at, focal=float(camera.focal[0]), up=up, moves=len(camera.at) > 1)  # type: ignore[arg-type]
 
 
 def looks_of(model: SceneModel) -> Mapping[str, Look | Mapping[str, Look]]:
-    """By name, the look of each mesh, and of all items from a USD file; of items with entries of their own by the name of
-    each."""
+    """Return looks by name: of each mesh, and of all items from a USD file. Items with entries of their own have looks by item
+    name."""
     found: dict[str, Look | Mapping[str, Look]] = {}
     for name, thing in model.world.items():
         if isinstance(thing, dict):

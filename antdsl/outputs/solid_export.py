@@ -22,8 +22,10 @@ _NONE = NoExport("the scene has no solid that could be dug", "`kind: solid` of a
 
 
 def export_solids(gallery: Gallery, frames: Iterable[int], path: Path) -> None:
-    """Write the surfaces of all solids as one mesh a frame, in scene units; `path` without the number, which stands before its
-    ending. NoExport without solids, CacheError for a frame that is damaged, OSError where nothing can be written."""
+    """Write the surfaces of all solids as one mesh per frame, in scene units. The frame number is inserted before the suffix of
+    `path`.
+
+    Raises NoExport without solids, CacheError for a damaged frame, OSError where nothing can be written."""
     dug = DugSolids(gallery.cache, gallery.static)
     for frame in frames:
         solids = dug.at(frame)
@@ -33,11 +35,13 @@ def export_solids(gallery: Gallery, frames: Iterable[int], path: Path) -> None:
 
 
 def export_volumes(gallery: Gallery, frames: Iterable[int], path: Path) -> list[str]:
-    """Write the solids as they are in the last of the frames as dense volumes: `NAME.distance` float32[x, y, z], the signed
-    distance to the surface at points of a lattice (below 0 within the solid, cut off at the `band`), `NAME.origin` float64[3] the
-    place of the first point, `NAME.cell` float64 the step between two, `NAME.band` float64[2]; all in scene units.
+    """Write the solids at the last of the frames as dense volumes, in scene units.
 
-    NoExport without solids or where a volume is too large, CacheError for a frame that is damaged, OSError where nothing can be
+    `NAME.distance` float32[x, y, z] is the signed distance to the surface at lattice points (below 0 in the solid, limited to the
+    `band`). `NAME.origin` float64[3] is the position of the first point, `NAME.cell` float64 the spacing, `NAME.band` float64[2]
+    the band.
+
+    Raises NoExport without solids or where a volume is too large, CacheError for a damaged frame, OSError where nothing can be
     written."""
     last = list(frames)[-1]
     dug = DugSolids(gallery.cache, gallery.static)

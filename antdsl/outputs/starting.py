@@ -1,4 +1,4 @@
-"""Begins a run with the agents, items and fields of a frame of another cache."""
+"""Start of a run from the agents, items and fields of a frame of another cache."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _SAME_PLACE = 1e-6  # mm
 
 
 class StartError(Exception):
-    """The other cache cannot be begun with; `report` says why, at its place in the scene."""
+    """Error for another cache that a run cannot start from; `report` says why, at its location in the scene."""
 
     def __init__(self, report: Report) -> None:
         super().__init__("; ".join(d.message for d in report.errors))
@@ -31,7 +31,7 @@ class StartError(Exception):
 
 
 def source_of(shot: Shot) -> Path | None:
-    """The folder of the cache that the scene begins with, or None. StartError when its path is refused."""
+    """Return the folder of the cache that the scene begins with, or None. Raises StartError if its path is rejected."""
     start = shot.scene.model.start
     if start is None:
         return None
@@ -42,7 +42,7 @@ def source_of(shot: Shot) -> Path | None:
 
 
 def start_hash(shot: Shot) -> dict[str, str]:
-    """A hash of what the scene begins with, for the inputs of its own cache; empty when it begins with its crowd."""
+    """Return a hash of what the scene begins with, for the inputs of its cache; empty if it begins with its crowd."""
     folder, start = source_of(shot), shot.scene.model.start
     if folder is None or start is None:
         return {}
@@ -64,7 +64,7 @@ def start_hash(shot: Shot) -> dict[str, str]:
 
 
 def start_from_cache(shot: Shot, world: World) -> None:
-    """Put the world where the other cache was, at this scene's own first frame. StartError when that is not possible."""
+    """Restore the world from the other cache, at this scene's own first frame. Raises StartError when that is not possible."""
     folder, start = source_of(shot), shot.scene.model.start
     if folder is None or start is None:
         return

@@ -1,4 +1,4 @@
-"""What a run amounts to, as one JSON document: the keys of `--summary`."""
+"""The summary of a run as one JSON document: the keys of `--summary`."""
 
 from __future__ import annotations
 
@@ -10,7 +10,8 @@ from antdsl.outputs.recording import Recording
 
 
 def summary(recording: Recording) -> dict[str, Any]:
-    """Counts, speeds and measures of a run; everything but `seconds`, `fps` and `peak_memory` is the same for the same inputs."""
+    """Return counts, speeds and measurements of a run. Equal inputs give equal values, except for `seconds`, `fps` and
+    `peak_memory`."""
     world = recording.world
     stepping = recording.seconds.get("step", 0.0) + recording.seconds.get("hand_over", 0.0)
     steps = recording.steps
@@ -39,8 +40,7 @@ def summary(recording: Recording) -> dict[str, Any]:
 
 
 def states(recording: Recording) -> dict[str, int]:
-    """How many agents are in each state, as `species.state` (`species.machine.state` for machines that have a name of their
-    own)."""
+    """Return how many agents are in each state, by `species.state` (`species.machine.state` for named machines)."""
     import numpy as np
 
     found: dict[str, int] = {}
@@ -53,7 +53,8 @@ def states(recording: Recording) -> dict[str, int]:
 
 
 def carried(recording: Recording) -> dict[str, float]:
-    """Sums over agents of attributes that items have too, as `species.attribute`: what is under way between items."""
+    """Return sums over agents of attributes that items also have, by `species.attribute`: the amounts in transit between
+    items."""
     import numpy as np
 
     kept = {attribute for items in recording.world.items.values() for attribute in items.amounts}

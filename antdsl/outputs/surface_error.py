@@ -1,4 +1,4 @@
-"""How well agents stand on what they stand on, as a frame has them."""
+"""The distance between agents and their ground in a frame."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from antdsl.runtime import Population, World
 
 
 def surface_error(world: World) -> float:
-    """The greatest distance of an agent, as it is written (float32), from the triangle or the solid that it stands on, in body
+    """Return the greatest distance of an agent, as written (float32), from the triangle or the solid that it stands on, in body
     lengths."""
     worst = 0.0
     for population in world.populations.values():

@@ -1,4 +1,4 @@
-"""Plan to plan: the same effects with less work. The order of PASSES is the order in which they run."""
+"""Passes from plan to plan: equal effects with less work. They run in the order of PASSES."""
 
 from __future__ import annotations
 
@@ -17,15 +17,15 @@ PASSES: tuple[Callable[[Plan], Plan], ...] = (
     fold,  # first: a known condition takes whole regions away
     drop_unused,  # before regions are joined: an empty region between two others keeps them apart
     merge,  # needs shared conditions
-    hoist,  # needs the final regions to know what is the same for all pairs of a set; makes all nodes anew, once
+    hoist,  # needs the final regions to know what is invariant over all pairs of a set; rebuilds nodes, once
     narrow,  # after merge, which could not join the halves again
     keep,  # last: regions and nodes are final
 )
 
 
 def optimise(plan: Plan, *, thorough: bool = True) -> Plan:
-    """Run all passes on a plan that was just lowered. It is verified before the first and after each, or, where somebody waits
-    for it and would not ask which pass it was, after the last."""
+    """Run all passes on a plan that was just lowered. The plan is verified before the first pass and after each. If not
+    `thorough`, it is verified after the last only, which is faster."""
     if thorough:
         verify(plan)
     for run in PASSES:

@@ -1,4 +1,4 @@
-"""Leave out what nobody reads: stores to temps, and the registers of those temps."""
+"""Leave out what no part of the plan reads: stores to temps, and the registers of those temps."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ KEPT = frozenset(f"{name}.{axis}" for name in ("push", "~face") for axis in "xyz
 
 
 def drop_unused(plan: Plan) -> Plan:
-    """Same effects: attributes and memories are the state and stay; a temp that is never read goes. The nodes that made it go
-    with the next pass that makes nodes anew."""
+    """Return an equivalent plan: attributes and memories are the state and stay; temps that are never read are removed. Their
+    nodes are removed by the next pass that builds nodes again."""
     return replace(plan, species={name: _species(s) for name, s in plan.species.items()})
 
 

@@ -1,4 +1,4 @@
-"""Regions whose condition is known: written straight into their place, or left out."""
+"""Regions with a known condition: moved straight into their place, or left out."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ from antdsl.plan.simplify import value
 
 
 def fold(plan: Plan) -> Plan:
-    """Same effects: regions of nobody are gone, regions of everybody have no condition. What is constant in a plan is a constant
-    already: its nodes were made by a Builder."""
+    """Return an equivalent plan: regions of no agents are removed, regions of all agents have no condition. What is constant in a
+    plan is a constant already: a Builder made its nodes."""
     return with_blocks(plan, lambda species, block: _block(species, block))
 
 

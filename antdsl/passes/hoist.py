@@ -1,9 +1,8 @@
-"""Take out of the pairs what is the same for all pairs of an agent, and share among x, y and z what is the same for all three.
+"""Move what is invariant over all pairs of an agent out of the pairs. Share among x, y and z what is equal for all three.
 
-A product within a set becomes component * (scalars of the pair * (factors of the agent)): the inner bracket is computed once an
+A product within a set becomes component * (scalars of the pair * (factors of the agent)). The inner bracket is computed once an
 agent, the one around it once a pair and not once a component. Division by an agent's value is a factor; a sign goes outside, even
-of a sum. This may move the last bit of a result; every backend runs the plan that comes out, so all still agree.
-"""
+of a sum. This may change the last bit of a result; every backend runs the resulting plan, so all still agree."""
 
 from __future__ import annotations
 
@@ -33,7 +32,7 @@ def _make(b: Builder, op: str, args: tuple[Node, ...], attrs: tuple[Any, ...]) -
 
 
 def _product(b: Builder, args: tuple[Node, ...]) -> Node:
-    """The product of all that the operands are products of."""
+    """Return the product of the factors of all operands."""
     factors, negative = _factors(args)
     agent = [n for n in factors if not _pair(n)]
     pair = [n for n in factors if _pair(n)]
@@ -45,7 +44,7 @@ def _product(b: Builder, args: tuple[Node, ...]) -> Node:
 
 
 def _factors(args: tuple[Node, ...]) -> tuple[list[Node], bool]:
-    """What the operands are products of, from left to right, and whether an odd number of signs is among them."""
+    """Return the factors of the operands, from left to right, and whether the number of negations among them is odd."""
     factors: list[Node] = []
     negative = False
     stack = list(reversed(args))

@@ -1,4 +1,4 @@
-"""Note which senses are kept for the rest of the step once they are computed."""
+"""Note which senses are stored for the rest of the step once they are computed."""
 
 from __future__ import annotations
 
@@ -9,5 +9,5 @@ from antdsl.plan.traverse import lazy
 
 
 def keep(plan: Plan) -> Plan:
-    """The plan with each species' `lazy` made anew: other passes change which regions ask."""
+    """Return the plan with each species' `lazy` computed again: other passes change which regions use a sense."""
     return replace(plan, species={n: replace(s, lazy=lazy(s.decide, s.act, s.blend)) for n, s in plan.species.items()})

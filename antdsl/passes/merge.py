@@ -1,4 +1,4 @@
-"""One region instead of two neighbours with the same condition: the agents are gathered once."""
+"""Merging of two neighbouring regions with the same condition, so that the agents are gathered once."""
 
 from __future__ import annotations
 
@@ -9,7 +9,8 @@ from antdsl.plan.verify import written
 
 
 def merge(plan: Plan) -> Plan:
-    """Same effects. The same node is the same condition, unless the first region writes what it reads."""
+    """Return a plan with merged regions and equal effects. The same node is the same condition, unless the first region writes a
+    register that it reads."""
     return with_blocks(plan, lambda species, block: _block(species, block))
 
 

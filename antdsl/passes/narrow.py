@@ -1,4 +1,4 @@
-"""Ask the cheap half of a condition first, and the dear half only of those who are left."""
+"""Evaluation of the cheap half of a condition first, and of the expensive half only for the remaining agents."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from antdsl.plan.traverse import needed
 
 
 def narrow(plan: Plan) -> Plan:
-    """`where cheap and dear:` becomes two regions, one inside the other, where only the second half needs a sense."""
+    """Split `where cheap and dear:` into two nested regions, where only the second half needs a sense."""
     return with_blocks(plan, lambda species, block: _block(species, block))
 
 

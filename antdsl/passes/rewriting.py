@@ -1,4 +1,4 @@
-"""Making a plan anew: every node built again by a fresh Builder (which folds and shares), every statement carried over."""
+"""Building a plan again: every node by a fresh Builder (which folds and shares), every statement copied."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ Make = Callable[[Builder, str, tuple[Node, ...], tuple[Any, ...]], Node | None]
 
 
 def with_blocks(plan: Plan, change: Callable[[SpeciesPlan, Block], Block]) -> Plan:
-    """The plan with every phase of every species changed."""
+    """Return the plan with `change` applied to each phase of each species."""
     species = {
         name: replace(s, **{phase: change(s, getattr(s, phase)) for phase in PHASES})  # type: ignore[arg-type]
         for name, s in plan.species.items()
@@ -23,10 +23,10 @@ def with_blocks(plan: Plan, change: Callable[[SpeciesPlan, Block], Block]) -> Pl
 
 
 def rebuilt(plan: Plan, make: Make | None = None, watched: dict[Node, Node] | None = None) -> Plan:
-    """The same plan of nodes that are needed only, simplified, shared and numbered without gaps.
+    """Return the same plan with needed nodes only, simplified, shared and numbered without gaps.
 
-    `make` may give another node for an operation of operands that are made anew already. `watched`: nodes to be kept, in the plan
-    or beside it; each is told what it has become."""
+    `make` may return another node for an operation with operands that are already rebuilt. `watched`: nodes that stay, in the
+    plan or outside it; each is mapped to its new node."""
     builder = Builder()
     new: dict[Node, Node] = {}
     beside = {} if watched is None else watched
@@ -41,8 +41,8 @@ def rebuilt(plan: Plan, make: Make | None = None, watched: dict[Node, Node] | No
 
 
 def _numbered(plan: Plan, beside: dict[Node, Node]) -> Plan:
-    """Folding leaves nodes that nobody needs any more: make the list anew without them. No two of them are alike, as a Builder
-    has just made them all."""
+    """Return the plan without the unused nodes that folding leaves. No two nodes are alike, as a Builder has just made them
+    all."""
     new: dict[Node, Node] = {}
     for number, node in enumerate(needed([*roots(plan), *beside.values()])):
         args = tuple(new[a] for a in node.args)

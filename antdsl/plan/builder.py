@@ -1,4 +1,5 @@
-"""Makes nodes of the plan: checks them against the table, folds what is known, gives the same object for the same operation."""
+"""Builder of plan nodes: it checks operands against the table, folds constants, and returns the same object for the same
+operation."""
 
 from __future__ import annotations
 
@@ -13,7 +14,7 @@ _OF_REGISTER = frozenset(("snap", "load", "other", "agent.get", "item.get"))
 
 
 class PlanError(AssertionError):
-    """A plan that breaks its own rules: our mistake, never the author's."""
+    """Error for a plan that breaks its own rules: a mistake of ours, never the author's."""
 
 
 def fitting(op: str, args: tuple[Node, ...], attrs: tuple[Any, ...]) -> str | None:
@@ -52,7 +53,7 @@ def _misfit(op: str, args: tuple[Node, ...], attrs: tuple[Any, ...]) -> str | No
 
 
 def result_kind(op: str, args: tuple[Node, ...], attrs: tuple[Any, ...], kind: Kind | None) -> Kind:
-    """Kind of a result; `kind` says it for those operations that read a register."""
+    """Return the kind of a result. For operations that read a register, it is `kind`."""
     if op in _OF_REGISTER:
         return kind or Kind.F32
     if op == "where":
@@ -64,7 +65,7 @@ def result_kind(op: str, args: tuple[Node, ...], attrs: tuple[Any, ...], kind: K
 
 
 def result_rate(op: str, args: tuple[Node, ...]) -> Rate:
-    """The greatest rate of the parts; a reduction is back at the agent's."""
+    """Return the highest rate of the operation and its operands; a reduction is at the agent's rate."""
     if op.startswith("reduce."):
         return Rate.AGENT
     rate = OPS[op].rate
@@ -75,7 +76,7 @@ def result_rate(op: str, args: tuple[Node, ...]) -> Rate:
 
 
 class Builder:
-    """One list of nodes. `span` is the place in the text that the next nodes belong to."""
+    """One list of nodes. `span` is the location in the text of the next nodes."""
 
     def __init__(self) -> None:
         self.nodes: list[Node] = []
@@ -93,7 +94,7 @@ class Builder:
         return simple if simple is not None else self.intern(op, args, attrs, result_kind(op, args, attrs, kind))
 
     def intern(self, op: str, args: tuple[Node, ...], attrs: tuple[Any, ...], kind: Kind, span: Span | None = None) -> Node:
-        """The node as asked for, made only if there is none like it."""
+        """Return the node with these values, made only if there is none like it."""
         key = (op, tuple([a.number for a in args]), repr(attrs) if attrs else "", kind)
         node = self._known.get(key)
         if node is None:

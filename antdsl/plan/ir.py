@@ -1,9 +1,9 @@
-"""The plan: what the program became. Scalar nodes in a closed table of operations, statements over them, registers per agent.
+"""The plan, the intermediate form of a program: scalar nodes in a closed table of operations, statements over them, registers per
+agent.
 
-A `Node` is pure and interned by its Builder (the same operation of the same operands is the same object); a vector is three nodes.
-A statement acts on the agents of its region: the whole species, narrowed by each enclosing `If`.
-Base units: mm, s, g, rad; positions are float32, relative to the scene's own origin.
-"""
+A `Node` is pure and interned by its Builder (the same operation of the same operands is the same object); a vector is three
+nodes. A statement acts on the agents of its region: the complete species, narrowed by each enclosing `If`. Base units: mm, s, g,
+rad; positions are float32, relative to the scene's own origin."""
 
 # A table reads best with one row a line, and its kinds with one letter each.
 # ruff: noqa: E501, E741
@@ -56,9 +56,9 @@ class Node:
 
 @dataclass(frozen=True, slots=True)
 class Operation:
-    """What the table says of an operation: kinds of its operands, attributes, kind of its result, least rate.
+    """Table entry of an operation: kinds of its operands, attributes, kind of its result, lowest rate.
 
-    `args` is a string of letters, one an operand: f F32, b BOOL, i I32, l I64, t TUPLE, s SET, x any scalar, * the last one repeated."""
+    `args` has one letter per operand: f F32, b BOOL, i I32, l I64, t TUPLE, s SET, x any scalar, * repeats the last one."""
 
     args: str
     attrs: tuple[str, ...]
@@ -187,7 +187,7 @@ TUPLES: dict[str, tuple[Kind, ...]] = {
     row.op: tuple(LETTERS[letter] for letter in row.kinds) for row in senses.SENSES.values() if len(row.kinds) > 1
 }
 
-# What is worth keeping for a step, and is asked only of those who need it.
+# Worth storing for a step, and computed only for agents that need it.
 SENSES = frozenset((*senses.SENSES, *(name for name in OPS if name.startswith("reduce.")), "draw.agent"))
 
 
@@ -201,7 +201,7 @@ class Block:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class If:
-    """The agents of the region for which the condition holds (NaN never does)."""
+    """A region: the agents for which the condition holds (never for NaN)."""
 
     condition: Node
     then: Block
@@ -210,7 +210,8 @@ class If:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Store:
-    """Set a register. A value that is not finite is not stored: the agent is faulted (decision 24), unless `infinite` and it is +inf."""
+    """Assignment to a register. A value that is not finite is not stored, and the agent is faulted (decision 24), unless
+    `infinite` and the value is +inf."""
 
     register: str
     value: Node
@@ -220,9 +221,11 @@ class Store:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Claim:
-    """Ask for `amount` (all that is left if None) of an item's attribute, or where `item` is None of what the agent's own cell of
-    the field `of` holds; settled after decide, by (draw, id), while the rest suffices. `won` (BOOL register) is set for those who
-    got it; the amount is added to the agent's register `own`, if one is named, when it wins."""
+    """Claim of `amount` (everything left if None) from an item's attribute or, where `item` is None, from the agent's own cell of
+    the field `of`.
+
+    Claims are resolved after decide, in the order of (draw, id), while the remaining amount suffices. `won` (BOOL register) is
+    set for the agents that got it. The amount is added to the agent's register `own`, if one is named."""
 
     of: str
     attribute: str
@@ -236,7 +239,8 @@ class Claim:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Give:
-    """Move `amount` (at most what the agent has; all if None) of the agent's register `own` to the item's attribute at t+1."""
+    """Transfer of `amount` (at most what the agent has; everything if None) from the agent's register `own` to the item's
+    attribute at t+1."""
 
     items: str
     attribute: str
@@ -248,8 +252,8 @@ class Give:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Request:
-    """Asks something of the rest of the world: `op` is a row of `program.effects`, `of` the name of what it is asked about, `args`
-    the row's operands (None: absent), `own` the agent's register that what comes of it is added to after the step's blocks, `whom` the
+    """A request to the rest of the world. `op` is a row of `program.effects`, `of` the name of its target, `args` the row's
+    operands (None: absent). `own` is the agent's register that the result is added to after the step's blocks. `whom` is the
     species of the one agent (an I64 operand) that it is for."""
 
     op: str
@@ -277,18 +281,18 @@ class Register:
     kind: Kind
     role: str
     zero: float | int | bool = 0
-    of: str | None = None  # species whose ids an I64 register holds: references to the dead become -1 in it
-    holds: tuple[Any, ...] = ()  # kind, exponents of its dimension, and of whom or what it is
+    of: str | None = None  # species of the ids in an I64 register: references to the dead become -1 in it
+    holds: tuple[Any, ...] = ()  # kind, exponents of its dimension, and its species or thing
 
 
 def begun_with(attribute: str) -> str:
-    """The temp in which the scene says what an agent's attribute is at birth; infinite where it says nothing."""
+    """Return the temp with the scene's value of an agent's attribute at birth; infinite where the scene has none."""
     return f"~born.{attribute}"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MachinePlan:
-    """Registers of a machine are `NAME.state`, `.previous`, `.next` (I32) and `.time_in_state` (F32, seconds)."""
+    """A machine, with registers `NAME.state`, `.previous`, `.next` (I32) and `.time_in_state` (F32, seconds)."""
 
     name: str
     states: tuple[str, ...]
@@ -305,8 +309,10 @@ class LayerPlan:
 
 @dataclass(frozen=True, slots=True)
 class ClipPlan:
-    """A clip of the body by its name, on the joints of a transform group ("": all). `add`: it lies over all others by its
-    differences from the rest pose. `left`, `right`, `up`, `down`: what it gives way to as an agent turns, climbs or goes down."""
+    """A clip of the body by its name, on the joints of a transform group ("": all).
+
+    `add`: its differences from the rest pose are added to all other clips. `left`, `right`, `up`, `down`: the clips that replace
+    it as an agent turns, climbs or descends."""
 
     name: str
     on: str = ""
@@ -323,11 +329,15 @@ class ClipPlan:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SpeciesPlan:
-    """`born` fills the registers at birth (placement and velocity are there already) and runs `on spawn`.
-    `decide`, `act`, `blend` run in this order each step; claims are settled between decide and act.
-    Vectors are registers NAME.x NAME.y NAME.z. Registers that every species has: position velocity heading up (vectors), push (vector, temp),
-    size mass radius clearance max_speed max_force max_turn response group. max_turn inf is no limit.
-    All have `moved` where the program asks how far contacts pushed anybody. A species that says how fast it goes at least has min_speed too, one with `face` lines the temp ~face, nothing where it faces where it goes. `response` 0 or `kinematic`: the push is a velocity change at once."""
+    """The plan of one species. `born` fills the registers at birth (position and velocity are already set) and runs `on spawn`.
+    `decide`, `act`, `blend` run in this order in each step; claims are resolved between decide and act.
+
+    Vectors are registers NAME.x NAME.y NAME.z. Every species has the registers: position velocity heading up (vectors), push
+    (vector, temp), size mass radius clearance max_speed max_force max_turn response group. An infinite max_turn is no limit.
+    `response` 0 or `kinematic`: the push changes the velocity at once.
+
+    All species have `moved` where the program reads how far contacts pushed an agent. A species with a minimum speed also has
+    min_speed. One with `face` lines has the temp ~face, which is zero where the agent faces its direction of motion."""
 
     name: str
     registers: dict[str, Register]
@@ -350,8 +360,11 @@ class SpeciesPlan:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FieldPlan:
-    """Nodes at rate RUN. `keep` is a factor per step (half_life, evaporate, keeps are all turned into it).
-    `stencil`: to 4 or 8 cells round about it spreads. `deposits`: they land before it spreads and fades, "first", or "last"."""
+    """The plan of a field, with nodes at rate RUN. `keep` is a factor per step (half_life, evaporate and keeps are all converted
+    to it).
+
+    `stencil`: the field diffuses to 4 or 8 neighbour cells. `deposits`: they are added before diffusion and evaporation, "first",
+    or after, "last"."""
 
     name: str
     surfaces: tuple[str, ...]

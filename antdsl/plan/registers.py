@@ -17,7 +17,7 @@ _OWN = 8  # its id
 
 
 def written(statement: ir.Statement) -> str | None:
-    """The register that a statement changes at once."""
+    """Return the register that a statement itself changes, or None."""
     if isinstance(statement, ir.Store):
         return statement.register
     return statement.own if isinstance(statement, ir.Give) else None
@@ -42,7 +42,8 @@ def early_loads(block: ir.Block) -> dict[tuple[int, ...], list[ir.Node]]:
 
 
 def _meeting(paths: list[tuple[int, ...]]) -> tuple[int, ...]:
-    """Place of the first statement, in the smallest block around all these places, that holds the first of them."""
+    """Return the place where several paths meet: in the smallest block around all of them, the statement that contains the first
+    of them."""
     first, depth = paths[0], min(len(p) for p in paths) - 1
     while any(p[:depth] != first[:depth] for p in paths):
         depth -= 1
@@ -56,13 +57,14 @@ def places(species: ir.SpeciesPlan) -> dict[ir.Statement, int]:
 
 
 def kept_senses(species: ir.SpeciesPlan) -> tuple[ir.Node, ...]:
-    """Lazy nodes whose value holds for the whole step: none of its parts is written in between."""
+    """Return the lazy nodes with a value that holds for the whole step: none of its parts is written in between."""
     return tuple(node for node in species.lazy if all(part.op != "load" for part in needed((node,))))
 
 
 def memory(species: SpeciesPlan) -> dict[str, int]:
-    """Bytes an agent by what they are for: `attribute` (the author's and those that every animal has), `memory` (states, `keep`,
-    latches, waiting times), `pair` (values per pair), all kept from step to step, and `temp`, in use during a step only."""
+    """Return bytes per agent by use: `attribute` (the author's and those that every animal has), `memory` (states, `keep`,
+    latches, waiting times), `pair` (values per pair), and `temp`. All but `temp`, which is used during a step only, persist from
+    step to step."""
     found = {"attribute": _OWN, "pair": 0, "memory": 0, "temp": 0}
     for register in species.registers.values():
         found[register.role] += _BYTES[register.kind]
@@ -75,7 +77,7 @@ def slot_names(name: str, count: int) -> list[tuple[str, str]]:
 
 
 def pair_values(registers: Iterable[str]) -> dict[str, list[tuple[str, str]]]:
-    """The values per pair among the registers of a species, by name, each with its slots as `slot_names` gives them."""
+    """Return the pair values among the registers of a species, by name, each with its slots as in `slot_names`."""
     counts: dict[str, int] = {}
     for register in registers:
         name, slot, number = register.partition("|")

@@ -76,7 +76,7 @@ def _vectors(names: list[str]) -> list[str]:
 
 
 def _cost(nodes: list[Node]) -> str:
-    """How much there is to compute: operations once a step, per agent, per pair; senses."""
+    """Return the number of operations per step, per agent and per pair, and of senses, as text."""
     work = [n for n in nodes if n.op not in _LEAVES]
     plain = [n.rate for n in work if n.op not in SENSES and n.op != "get"]
     count = Counter("pair" if rate is Rate.PAIR else "agent" if rate is Rate.AGENT else "step" for rate in plain)
@@ -212,7 +212,7 @@ class _Text(_Names):
 
 
 def _place(statement: Statement) -> str:
-    """The line of the text that asked for it."""
+    """Return the line of the text that a statement is from."""
     if statement.span is None:
         return ""
     return f"line {statement.span.source.line_column(statement.span.start)[0]}"

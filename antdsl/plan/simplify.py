@@ -143,7 +143,7 @@ _ALGEBRA = {
 
 
 def f32(x: float) -> float:
-    """The nearest float32, ties to even; beyond the range it is infinite."""
+    """Return the nearest float32, ties to even; infinite beyond the range."""
     try:
         return float(_PACK.unpack(_PACK.pack(x))[0])
     except OverflowError:
@@ -189,7 +189,7 @@ COMPARISONS: dict[str, Callable[..., bool]] = {
 
 
 def least(a: float, b: float) -> float | None:
-    """min as the backends take it; None where the sign of a zero would depend on the order."""
+    """Return the minimum as the backends compute it; None where the sign of a zero would depend on the order."""
     if a == b == 0:
         return None
     if math.isnan(a) or math.isnan(b):

@@ -25,7 +25,7 @@ def operands(statement: Statement) -> tuple[Node, ...]:
 
 
 def statements(block: Block) -> Iterator[tuple[Block, Statement]]:
-    """All statements in order, each with the block it stands in; an If before what is in it."""
+    """Yield all statements in order, each with the block that contains it; an If comes before its contents."""
     for statement in block.statements:
         yield block, statement
         if isinstance(statement, If):
@@ -45,7 +45,7 @@ def blocks(species: SpeciesPlan) -> tuple[tuple[str, Block], ...]:
 
 
 def needed(roots: Iterable[Node]) -> list[Node]:
-    """The nodes and all that they are made of, operands first."""
+    """Return the nodes and all their operands, operands first."""
     seen: dict[int, Node] = {}
     stack = list(roots)
     while stack:
@@ -61,7 +61,7 @@ def field_nodes(field: FieldPlan) -> tuple[Node, ...]:
 
 
 def roots(plan: Plan) -> list[Node]:
-    """Every node that something outside the list of nodes names."""
+    """Return every node that is named from outside the list of nodes."""
     found: list[Node] = []
     for species in plan.species.values():
         for _, block in blocks(species):
@@ -79,7 +79,7 @@ def registers_read(nodes: Iterable[Node]) -> set[str]:
 
 
 def lazy(*phases: Block) -> tuple[Node, ...]:
-    """Senses that two or more users need, in order of their numbers. A user is a block, or a sense that is kept itself."""
+    """Return the senses with two or more users, in order of their numbers. A user is a block, or a stored sense itself."""
     users: dict[Node, set[object]] = {}
     for phase in phases:
         for block, statement in statements(phase):
@@ -88,7 +88,7 @@ def lazy(*phases: Block) -> tuple[Node, ...]:
     kept: list[Node] = []
     waiting = set(users)
     while waiting:
-        sense = max(waiting, key=lambda node: node.number)  # whoever uses it has a greater number and has been here
+        sense = max(waiting, key=lambda node: node.number)  # all that use it have greater numbers and have been here
         waiting.remove(sense)
         alone = len(users[sense]) == 1
         if not alone:

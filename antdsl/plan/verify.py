@@ -1,4 +1,4 @@
-"""What a legal plan is. Runs between passes and in tests; a broken plan is our mistake, so it raises."""
+"""The rules of a legal plan. Checked between passes and in tests. A broken plan is an internal error, so it raises."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def verify(plan: Plan) -> None:
 
 
 def _nodes(plan: Plan) -> Iterator[str]:
-    """Each node is what the table says, stands after its operands, and is in the list."""
+    """Check that each node matches the table, follows its operands, and is in the list."""
     known = set(plan.nodes)
     for node in roots(plan):
         if node not in known:
@@ -57,7 +57,7 @@ def _nodes(plan: Plan) -> Iterator[str]:
 
 
 def _names(plan: Plan) -> Iterator[str]:
-    """What nodes name is there. A species may live in another file."""
+    """Check that the names in nodes exist. A species may be in another file."""
     things = named(plan)
     known: dict[str, Container[str]] = {
         **{row.op: things[row.of] for row in SENSES.values() if row.of and row.of != "species"},
@@ -76,7 +76,7 @@ def _names(plan: Plan) -> Iterator[str]:
 
 
 def named(plan: Plan) -> dict[str, Container[str]]:
-    """The names of the things of a plan, by the kind that rows of senses and effects say."""
+    """Return the names of the things of a plan, by the kind in the rows of senses and effects."""
     return {
         **{kind: plan.of_kind(kind) for kind in KINDS_OF_THINGS}, "items": plan.items, "species": plan.species,
         "field": plan.fields, "target": plan.of_kind(*KINDS_OF_THINGS["obstacle"].serves),
@@ -84,7 +84,7 @@ def named(plan: Plan) -> dict[str, Container[str]]:
 
 
 def _elements(plan: Plan, reduce: Node) -> Iterator[str]:
-    """A reduction reads of its elements only what such elements have."""
+    """Check that a reduction reads only values that its elements have."""
     source = reduce.args[0]
     of_items = source.op == "set.items"
     labels = _LABELS.get(reduce.op)
@@ -182,7 +182,7 @@ def _statement(plan: Plan, species: SpeciesPlan, statement: Statement) -> Iterat
 
 
 def _request(plan: Plan, species: SpeciesPlan, statement: Request) -> Iterator[str]:
-    """A request is what its row says, and names what is there."""
+    """Check that a request matches its row and that the names in it exist."""
     row = EFFECTS.get(statement.op)
     if row is None:
         yield f"no effect {statement.op}"
@@ -212,7 +212,7 @@ class _Seen:
 
 
 def _order(block: Block) -> Iterator[str]:
-    """A load after a store is another load than the one before it, and versions only grow."""
+    """Check that a load after a store differs from the load before it, and that versions only increase."""
     seen = _Seen()
     yield from _walk(block, seen)
 

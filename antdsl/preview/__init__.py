@@ -1,4 +1,5 @@
-"""A scene that is simulated while it is written: edited files take over from the running ones, and time can be turned back."""
+"""The preview: a scene that is simulated while its files are edited. Edited files replace the running ones, and time can go
+back."""
 
 from antdsl.preview.compiling import Compiler
 from antdsl.preview.live import Busy, Client, Live

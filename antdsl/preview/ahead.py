@@ -1,5 +1,5 @@
-"""Where agents will be: the next seconds of a session, simulated in a world of its own that is thrown away. The session's world
-is read once, when that branch begins, and never changed."""
+"""Where agents will be: the next seconds of a session, simulated in a separate world that is discarded. The session's world is
+read once, when that branch begins, and never changed."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ class Places:
 
     @classmethod
     def of(cls, population: Population, before: Places | None) -> Places:
-        """As they are; ids are the array of the frame before where nobody came or went."""
+        """Return the current positions; ids are the array of the frame before if no agent came or went."""
         rows = population.in_id_order()
         ids = population.ids[rows]
         same = before is not None and np.array_equal(before.ids, ids)
@@ -33,10 +33,11 @@ class Places:
 
 
 class Ahead:
-    """The next 2 seconds, or as much of them as 64 MiB hold, frame by frame: `frames` has all species by frame, the session's own
-    first. As long as nothing is edited a session that goes on comes upon them, so only what is new at the far end is simulated.
+    """The frames of the next 2 seconds, or as many as fit in 64 MiB. `frames` has all species by frame; the first is the
+    session's current frame.
 
-    They end where an edit was made, in a history that one has gone back in, and where a step cannot be made."""
+    Without edits, the session later reaches these frames, so only new frames at the far end are simulated. They end at an edit,
+    at the end of a history that the session went back in, and where a step fails."""
 
     def __init__(self) -> None:
         self.frames: dict[int, dict[str, Places]] = {}
@@ -46,13 +47,14 @@ class Ahead:
         self._stopped = False
 
     def forget(self) -> None:
-        """Keep nothing; the next one who asks begins a branch anew."""
+        """Store nothing; the next request begins a new branch."""
         if self._world is not None:
             self.frames, self._of, self._world, self._stopped = {}, None, None, False
             self.version += 1
 
     def lacks(self, session: Session) -> bool:
-        """Whether there is more to be simulated; what is of another run than the session's is forgotten, and what lies behind."""
+        """Return whether more frames are to be simulated. Forgets frames of another run than the session's, and frames before the
+        current one."""
         stretch = session.timeline.at(session.frame)
         of = (stretch, tuple(stretch.changes))
         if of != self._of or session.frame not in self.frames:
@@ -64,7 +66,7 @@ class Ahead:
         return not self._stopped and max(self.frames) < self._last(session)
 
     def go_on(self, session: Session) -> None:
-        """Simulate one frame more, where something is lacking; the first time that is the session's own frame."""
+        """Simulate one more frame if one is missing; the first call takes the session's current frame."""
         stretch, world = session.timeline.at(session.frame), self._world
         if world is None:
             world = self._world = stretch.world(checkpoint(session.world), session.options, session.compiler.built)

@@ -15,8 +15,8 @@ _TYPES = frozenset(("f4", "i4", "u4", "u1", "i1", "u2", "i2"))
 
 
 def pack(slot: str, arrays: Mapping[str, NDArray[Any]], **header: Any) -> bytes:
-    """A packet of a slot. Arrays of 1, 2 or 4 bytes an element; the header says of each its name, type, count and offset.
-    TypeError for arrays of other types."""
+    """Return a packet of a slot. Arrays have 1, 2 or 4 bytes per element. The header holds the name, type, count and offset of
+    each. Raises TypeError for arrays of other types."""
     listed: list[tuple[str, str, int, int]] = []
     little = {name: np.ascontiguousarray(array) for name, array in arrays.items()}
     types = {name: f"{array.dtype.kind}{array.dtype.itemsize}" for name, array in little.items()}
@@ -25,7 +25,7 @@ def pack(slot: str, arrays: Mapping[str, NDArray[Any]], **header: Any) -> bytes:
             raise TypeError(f"`{name}` is {little[name].dtype}, which no packet has")
 
     def text(start: int) -> tuple[bytes, int]:
-        """The header for arrays that begin at `start`, and where they end."""
+        """Return the header for arrays that begin at `start`, and the end offset of the arrays."""
         listed.clear()
         at = start
         for name, array in little.items():
@@ -34,7 +34,7 @@ def pack(slot: str, arrays: Mapping[str, NDArray[Any]], **header: Any) -> bytes:
         return json.dumps({**header, "slot": slot, "arrays": listed}, separators=(",", ":"), allow_nan=False).encode(), at
 
     start = 64
-    while True:  # the header tells offsets, whose digits make it longer
+    while True:  # the header has offsets; their digits make it longer
         said, end = text(start)
         if 8 + len(said) <= start:
             break

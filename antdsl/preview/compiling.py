@@ -1,4 +1,4 @@
-"""Opens one scene again and again: what has not changed since is not read, parsed or worked out a second time."""
+"""Opens one scene repeatedly: what has not changed since is not read, parsed or computed a second time."""
 
 from __future__ import annotations
 
@@ -21,18 +21,18 @@ from antdsl.source import Source
 
 @dataclass(eq=False)
 class Compiler:
-    """One scene's file. `instead` has texts that stand for files: edits that nobody saved."""
+    """One scene's file. `instead` has texts that replace files: unsaved edits."""
 
     scene: Path
     instead: dict[Path, str] = field(default_factory=dict)
     built: Built = field(default_factory=Built)
     _parsed: Parsed = field(default_factory=dict)
     _files: Sought = field(default_factory=dict)  # that the last shot was made of
-    _tried: Sought = field(default_factory=dict)  # that were asked for last, also those that are not there
+    _tried: Sought = field(default_factory=dict)  # the last requested ones, also those that do not exist
     _foreseen: Foreseen | None = None
 
     def foresee(self, choices: Choices | None = None) -> None:
-        """Open it ahead of time, for an `open` that soon follows. That one looks whether the files are still the same."""
+        """Open the shot ahead of time, for an `open` that soon follows. `open` then checks whether the files are unchanged."""
         self._foreseen = None
         choices = choices or Choices()
         shot, report = self.open(choices)
@@ -40,7 +40,7 @@ class Compiler:
             self._foreseen = Foreseen(shot, report, choices, dict(self.instead), dict(self._parsed))
 
     def open(self, choices: Choices | None = None) -> tuple[Shot | None, Report]:
-        """The shot as the files are now, or None; and what there is to complain about."""
+        """Return the shot of the current files, or None if it cannot be made; and the findings."""
         self._forget_changed()
         foreseen, self._foreseen = self._foreseen, None
         if foreseen is not None and foreseen.holds(choices or Choices(), self.instead, self._parsed):
@@ -53,7 +53,7 @@ class Compiler:
         return shot, report
 
     def take_over(self, world: World, shot: Shot) -> tuple[World | None, Migration, Report]:
-        """The world of a shot that goes on from where another stands; None and complaints when it cannot be made."""
+        """Return a world of `shot` that continues from `world`; None and errors if it cannot be made."""
         with _without_pauses():
             try:
                 made, migration = take_over(world, shot.plan, shot.setting, self.built)
@@ -71,7 +71,7 @@ class Compiler:
         return found
 
     def open_file(self, path: Path) -> int:
-        """A handle on one of these files, to be closed by the caller; OSError where it is not there, or is no regular file."""
+        """Return a handle on one of these files; the caller closes it. Raises OSError if it is missing or not a regular file."""
         return open_again(path, self.files().get(path, path.parent))
 
     def _forget_changed(self) -> None:
@@ -87,8 +87,8 @@ class Compiler:
 
 @contextmanager
 def _without_pauses() -> Iterator[None]:
-    """A compiler makes tens of thousands of small things that are all in use: looking through them for garbage takes as long
-    as making them."""
+    """Pause garbage collection. A compile creates tens of thousands of small live objects; scanning them takes as long as
+    creating them."""
     was = gc.isenabled()
     gc.disable()
     try:

@@ -1,4 +1,5 @@
-"""Layers that are off by hand: the texts of their programs without them, which stand for the files until somebody saves."""
+"""Layers that are switched off by hand: the texts of their programs without them, which replace the files until they are
+saved."""
 
 from __future__ import annotations
 
@@ -14,8 +15,8 @@ Off = Mapping[tuple[str, str], Path]
 
 
 def texts_without(off: Off) -> tuple[dict[Path, str], list[tuple[str, str]]]:
-    """The texts of files less the layers that are off, by species and text; and which of them are there no more. A file that
-    cannot be read is left as it is: who compiles it hears about it."""
+    """Return the files' texts without the layers that are off (by species and text), and the layers that no longer exist. An
+    unreadable file is left unchanged; compiling it reports the error."""
     texts: dict[Path, str] = {}
     gone: list[tuple[str, str]] = []
     for path in dict.fromkeys(off.values()):

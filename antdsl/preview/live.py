@@ -1,5 +1,5 @@
-"""The thread that owns a session: carries out what pages ask between two steps, keeps the clock's pace, takes up saved files and
-shows what there is. Nobody else touches the session."""
+"""The thread that owns a session: between two steps it carries out requests of pages, keeps the clock's pace, loads saved files
+and displays the state. No other thread touches the session."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ class Busy(Exception):
 
 
 class Live:
-    """`start` it and it owns the session until `stop` returns. `ask`, `join` and `leave` may be called by any thread."""
+    """The thread that owns the session, from `start` until `stop` returns. Any thread may call `ask`, `join` and `leave`."""
 
     def __init__(self, session: Session, *, watch: bool = True) -> None:
         self._begin(session.compiler, session, Report(), watch)
@@ -62,7 +62,7 @@ class Live:
     def open(
         cls, scene: Path, choices: Choices | None = None, options: Options | None = None, *, watch: bool = True, **how: int
     ) -> Live:
-        """The same of a scene's file, which may have errors: then the session opens as soon as they are mended. `how` as in
+        """Return a Live of a scene file. If the file has errors, the session opens as soon as they are fixed. `how` as in
         `Session.open`."""
         made, compiler = cls.__new__(cls), Compiler(scene)
         session, report = Session.open(scene, choices, options, compiler=compiler, **how)
@@ -79,8 +79,8 @@ class Live:
         self.speed = 1.0  # of the clock; 0: as fast as it goes
         self.light: int | None = None  # a frame that is shown as it is remembered; the session is elsewhere
         self._target: int | None = None  # a frame on the way to which the session simulates again
-        self._steps = 0  # still to be made, besides playing
-        self.stop_at: Stop | None = None  # why it paused by itself
+        self._steps = 0  # pending steps, apart from playing
+        self.stop_at: Stop | None = None  # why it paused, if automatic
         self.clients: dict[Client, Look] = {}
         self.screen, self.ahead = Screen(self), Ahead()
         self.explainer: Explainer | None = None
@@ -89,7 +89,7 @@ class Live:
             self.observers.append(make(self))
         self._watch = Watch(compiler.files, opened=compiler.open_file) if watch else None
         self._queue: deque[tuple[Ask | str, Client]] = deque()
-        self._later: list[tuple[Ask, Client]] = []  # asked before there was a session
+        self._later: list[tuple[Ask, Client]] = []  # from before the session
         self._changed, self._over = Condition(), False
         self._due = self._poll = 0.0
         self._thread = Thread(target=self._run, name="antdsl-preview", daemon=True)
@@ -108,11 +108,11 @@ class Live:
             self._thread.join()
 
     def ask(self, ask: Ask, client: Client) -> None:
-        """Have something done between two steps. Busy when too much waits."""
+        """Queue a request to run between two steps. Raises Busy if too many wait."""
         self._put(ask, client)
 
     def join(self, client: Client) -> None:
-        """Tell and show a page all there is, and go on so."""
+        """Send a page the complete state, and all updates from then on."""
         self._put("join", client)
 
     def leave(self, client: Client) -> None:
@@ -151,7 +151,8 @@ class Live:
             client.tell(message)
 
     def be_exact(self) -> None:
-        """Be where the page looks, if what it shows is only remembered or the session is on its way there."""
+        """Bring the session to the frame that the page shows, if that frame is only remembered or the session is still on its way
+        there."""
         frame = self.light if self._target is None else self._target
         self.light = self._target = None
         if frame is not None:
@@ -159,15 +160,15 @@ class Live:
             self.screen.arrived()
 
     def show_light(self, frame: int) -> None:
-        """Show what is remembered of a frame, or of the nearest one that is, and simulate nothing."""
+        """Show the remembered agents of a frame, or of the nearest remembered one, without simulation."""
         remembered = self.session.timeline.light
         self._target = None
         nearest = min(remembered, key=lambda each: abs(each - frame), default=None)
         self.light = nearest if frame != self.session.frame else None
 
     def go_to(self, frame: int) -> None:
-        """Be at a frame as it was. It may take many steps, between which others are heard; meanwhile what is remembered of it is
-        shown."""
+        """Bring the session to a frame as it was. This may take many steps; requests are handled between them. Meanwhile the
+        remembered frame is displayed."""
         self.show_light(frame)
         self._target = frame
         session = self.session
@@ -182,17 +183,17 @@ class Live:
         self.session.playing, self.stop_at, self._due = True, None, monotonic()
 
     def pause(self, why: Stop | None = None) -> None:
-        """Stand still; steps that were still to be made are not. Where it stopped by itself the frame is marked."""
+        """Pause, and drop pending steps. After an automatic stop the frame is marked."""
         if why is not None:
             self.session.timeline.stop(self.session.frame, why.line)
         self.session.playing, self.stop_at, self._steps = False, why, 0
 
     def step_on(self, count: int) -> None:
-        """Make so many steps, as fast as it goes; others are heard between two of them."""
+        """Make `count` steps as fast as possible; requests are handled between them."""
         self.stop_at, self._steps = None, count
 
     def step(self) -> bool:
-        """One step, and what those say who look on; whether it may go on."""
+        """Make one step and run the observers. Return whether the session may go on."""
         session = self.session
         for observer in self.observers:
             observer.stepping(session)
@@ -205,7 +206,7 @@ class Live:
         return session.fault is None and self.stop_at is None
 
     def reload(self, of: str) -> None:
-        """Take up the files as they are, and tell everybody what came of it."""
+        """Load the files as they are, and send the outcome to all clients."""
         from antdsl.preview.viewing.messages import outcome
 
         if self._session is None:
@@ -218,7 +219,7 @@ class Live:
         self.screen.edited(files=True)
 
     def took(self, report: Report) -> None:
-        """The files were read as they are, with this to complain about; one that was just being saved will be read again."""
+        """Record that the files were read, with these findings. A file that was being saved will be read again."""
         self.report = report
         if self._watch is not None:
             self._watch.doubt()
@@ -243,7 +244,7 @@ class Live:
         while self._queue and not self._over:
             self._do(*self._queue.popleft())
             if monotonic() > until:
-                break  # whoever asks a lot does not keep the others from seeing the ants
+                break  # many requests of one client do not block display to the others
         now = monotonic()
         if self._watch is not None and now >= self._poll:
             self._poll = now + _POLL
@@ -260,7 +261,7 @@ class Live:
         self._sleep()
 
     def _advance(self, session: Session) -> None:
-        """Whatever time brings: a part of the way back, a step that was asked for, or the next one of playing."""
+        """Advance: a part of the way back, a requested step, or the next one of playing."""
         if self._target is not None:
             end = monotonic() + _SEEKING
             while session.frame != self._target and monotonic() < end:
@@ -277,8 +278,8 @@ class Live:
             self._due = now if self.speed == 0 else max(self._due + session.world.dt / self.speed, now - _BEHIND)
 
     def _look_ahead(self, session: Session) -> None:
-        """Simulate the time to come, while a page shows it and nobody wants anything else. While it plays, a frame for each one
-        played, and more in the time that is left before the next."""
+        """Simulate future frames while a page shows them and no other request waits. During play, a frame for each one played,
+        and more in the time that is left before the next."""
         version = self.ahead.version
         if not self.screen.looks_ahead(session):
             self.ahead.forget()
@@ -320,7 +321,8 @@ class Live:
             self._handle(what, client)
 
     def _overtaken(self, ask: Ask, client: Client) -> bool:
-        """Whether what comes next makes this needless: a slider on its way, one agent after the other."""
+        """Return whether a later request makes this one unnecessary, for example while a slider moves or agents are selected in
+        quick succession."""
         following, asker = self._queue[0] if self._queue else (None, None)
         if isinstance(ask, Set):
             return isinstance(following, Set) and following.name == ask.name and asker is client
@@ -359,7 +361,7 @@ class Live:
                     self._handle(ask, client)
 
     def _adopt(self) -> None:
-        """Hear of each world that the session comes to have, this one first."""
+        """Observe each world that the session enters, the current one first."""
         if self._session is not None:
             self._session.on_world = self._entered
             self._entered(self._session)

@@ -1,4 +1,4 @@
-"""What a page may ask of a preview: one model an `op`, and nothing else. Nothing here can write a file or name a path."""
+"""The requests that a page may send: one model per `op`, and nothing else. No request can write a file or name a path."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ Name = Annotated[str, StringConstraints(min_length=1, max_length=200)]
 Words = Annotated[str, StringConstraints(min_length=1, max_length=2000)]
 Frame = Annotated[int, Field(ge=-(2**53), le=2**53)]  # what a page's numbers hold
 Agent = Annotated[int, Field(ge=0, le=2**53)]
-EVERYBODY = 300  # agents whose planned paths are all shown at once, at most
+EVERYBODY = 300  # agents with planned paths displayed all at once, at most
 
 
 class Refusal(Exception):
-    """What was asked cannot be done: why, and what to do instead."""
+    """What was requested cannot be done: why, and what to do instead."""
 
     def __init__(self, message: str, help: str = "") -> None:
         super().__init__(message)
@@ -39,14 +39,14 @@ class Step(_Model):
 
 
 class Speed(_Model):
-    """How fast the clock goes: 1 is the scene's own, 0 as fast as it will."""
+    """The speed of the clock: 1 is the scene's own, 0 as fast as possible."""
 
     op: Literal["speed"]
     times: float = Field(ge=0, le=64)
 
 
 class Seek(_Model):
-    """Be at a frame. Not `exact`: show what is remembered of it and simulate nothing, as while a slider is dragged."""
+    """Go to a frame. Without `exact`: show what is remembered of it without simulation, as while a slider is dragged."""
 
     op: Literal["seek"]
     frame: Frame
@@ -93,8 +93,8 @@ class Who(_Model):
 
 
 class Look(_Model):
-    """What a page shows beyond the agents themselves: all of it each time. `planned`: whose paths in the time to come; of nobody
-    named those of all, where there are at most 300."""
+    """What a page shows in addition to the agents: all of it each time. `planned`: the agents with displayed future paths. If it
+    is empty, those of all agents are displayed, up to 300."""
 
     op: Literal["look"]
     columns: tuple[Column, ...] = Field((), max_length=64)
@@ -139,7 +139,7 @@ Break = Annotated[StateBreak | ConditionBreak | SpecBreak | FaultBreak, Field(di
 
 
 class Breaks(_Model):
-    """All breakpoints: those of before are gone. `tried` is one more, which is added if it fits the program."""
+    """Set all breakpoints; earlier ones are removed. `tried` is an extra one, added if it fits the program."""
 
     op: Literal["breaks"]
     breaks: tuple[Break, ...] = Field((), max_length=64)

@@ -1,6 +1,6 @@
-"""A scene under way with its history: it goes on, goes back to any frame that was simulated, and takes edits at any of them.
+"""A running scene with its history. It steps on, goes back to any simulated frame, and accepts edits at any of them.
 
-Going back re-simulates from the nearest checkpoint, to the same bits; what is changed at an earlier frame begins a branch."""
+Going back simulates again from the nearest checkpoint, with identical bits. A change at an earlier frame starts a branch."""
 
 from __future__ import annotations
 
@@ -27,13 +27,13 @@ from antdsl.scene.matching import check_param
 from antdsl.scene.quantities import BadQuantity, Quantity, parse_quantity
 
 _AGAIN = "simulated again from the first frame"
-_LAYER = 60  # letters of a layer that are told
+_LAYER = 60  # letters of a layer in messages
 
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
-    """What came of an edit: `did` says what was edited, `line` what was kept, moved and reset; `text` is what to write into a
-    file to have the same for good. With errors in the report nothing has changed."""
+    """The result of an edit. `did` says what was edited, `line` what persists, moved and was reset. `text` is what to write into
+    a file for the same permanent effect. With errors in the report nothing has changed."""
 
     report: Report = field(default_factory=Report)
     line: str = ""
@@ -70,8 +70,8 @@ class Session:
         budget: int = limits.GIB // 4,
         compiler: Compiler | None = None,
     ) -> tuple[Session | None, Report]:
-        """A session at the scene's first simulated frame, or None and complaints. A checkpoint each `every` frames; `budget`
-        bytes of memory for all that is kept. `compiler`: one that has tried this scene before."""
+        """Return a session at the scene's first simulated frame, or None, and a report. A checkpoint each `every` frames;
+        `budget` bytes of memory for all that is stored. `compiler`: one that has tried this scene before."""
         made = cls(compiler or Compiler(scene), options or Options(), Timeline(every, budget))
         report = made._begin(choices or Choices(), {}).report
         return (made if report.ok else None), report
@@ -106,7 +106,8 @@ class Session:
 
     @property
     def edited(self) -> bool:
-        """Whether something was changed while it ran, and not put back at the same frame: it is not what a fresh run gives."""
+        """Return whether something was changed during the run and not undone at the same frame. If so, the session differs from a
+        fresh run."""
         return any(not stretch.fresh or stretch.changes for stretch in self.timeline.stretches)
 
     @property
@@ -116,7 +117,7 @@ class Session:
         return replace(self._stretch.choices, params={**self._stretch.choices.params, **changed})
 
     def step(self) -> None:
-        """One frame on: through history as it was, then further. A value at fault stops nothing but `playing`."""
+        """Go one frame on: first through the recorded history, then further. A fault only stops `playing`."""
         self._step()
         later = self.timeline.after(self._stretch)
         if later is not None and later.first == self.frame:
@@ -124,7 +125,7 @@ class Session:
         self.timeline.note(self._stretch, self.world)
 
     def seek(self, frame: int) -> None:
-        """Be at a frame that was simulated. ValueError for any other, also for one that is forgotten."""
+        """Go to a frame that was simulated. Raises ValueError for any other frame, also for one that was dropped."""
         self._kept(frame)
         if not self.leads_to(frame):
             self._restore(self.timeline.at(frame), self.nearest(frame))
@@ -132,12 +133,12 @@ class Session:
             self._step()
 
     def leads_to(self, frame: int) -> bool:
-        """Whether a frame is reached from where one is by simulating on, as fast as from any checkpoint."""
+        """Return whether simulating on from the current frame reaches a frame at least as fast as from any checkpoint."""
         stretch = self.timeline.at(frame)
         return stretch is self._stretch and nearest_checkpoint(stretch, frame) <= self.frame <= frame
 
     def nearest(self, frame: int) -> int:
-        """The frame with a checkpoint that a frame is simulated from. ValueError as `seek`."""
+        """Return the frame of the checkpoint from which a frame is simulated. Raises ValueError as `seek` does."""
         self._kept(frame)
         return nearest_checkpoint(self.timeline.at(frame), frame)
 
@@ -146,7 +147,7 @@ class Session:
             raise ValueError(f"frame {frame} is not among those stored, {self.first} to {self.head}")
 
     def shown(self, frame: int) -> Mapping[str, Light] | None:
-        """The agents at a frame by species, without simulating anything; None where that is forgotten."""
+        """Return the agents at a frame by species, without simulation; None if the frame was dropped."""
         return self.timeline.light.get(frame)
 
     def _step(self) -> None:
@@ -168,13 +169,13 @@ class Session:
             self.meter.end(self.world)
 
     def measure(self, on: bool) -> None:
-        """Measure what each step spends its time on, in `meter`, or no longer. Changes no result."""
+        """Start or stop measuring what each step spends its time on, in `meter`. Results do not change."""
         if self.meter is not None:
             self.meter.stop()
         self.meter = Meter() if on else None
 
     def _restore(self, stretch: Stretch, frame: int) -> None:
-        """Be in a stretch as it was at a checkpoint, in a world that nothing was dug in yet."""
+        """Restore a stretch at a checkpoint, in a world without digging yet."""
         world = stretch.world(stretch.checkpoints[frame], self.options, self.compiler.built)
         world.watchers = self.world.watchers
         self._enter(world, stretch)
@@ -187,7 +188,7 @@ class Session:
     # --- edits ---------------------------------------------------------------------------------------------------------
 
     def reload(self) -> Outcome:
-        """Go on with the files as they are now, from the frame one is at. With errors the last good program runs on."""
+        """Go on from the current frame with the current files. If they have errors, the last good program continues."""
         outcome = self._with(self.choices, self._stretch.off)
         if outcome.ok or not (self.choices.params or self._stretch.off):
             return outcome
@@ -198,15 +199,15 @@ class Session:
         return replace(outcome, line=" · ".join([outcome.line, *dropped])) if outcome.ok else outcome
 
     def foresee(self) -> None:
-        """Compile the files as they are while one waits for them to come to rest, so that a reload finds it done. Nothing else
-        comes of it, whatever is in them."""
+        """Compile the current files before they settle, so that a reload finds the result. This has no other effect, whatever the
+        files contain."""
         instead = self.compiler.instead
         self.compiler.instead, _ = texts_without(self._stretch.off)
         self.compiler.foresee(self.choices)
         self.compiler.instead = instead
 
     def set(self, name: str, value: str) -> Outcome:
-        """Give a param, or a setting of a field, another value: a number and its unit. The text is the line of the scene."""
+        """Set a param, or a setting of a field, to a number with its unit. The text is the scene's line for it."""
         text, did = f"set: {{{name}: {value}}}", f"`{name}` is {value}"
         quantity, report = _quantity(self.shot, name, value)
         if quantity is None:
@@ -219,7 +220,7 @@ class Session:
         return Outcome(report, "from the next frame on", text, did)
 
     def field(self, name: str, on: bool) -> Outcome:
-        """Let a field hold scent, or next to none: what is laid stays below a millionth and is gone a step later."""
+        """Switch a field on, or nearly off: deposits then stay below a millionth and vanish after one step."""
         off = silenced(name)
         if name not in self.shot.plan.fields:
             return _unknown(f"no program has a field `{name}`")
@@ -248,8 +249,8 @@ class Session:
         return self._with(self.choices, off, text, f"layer `{_short(layer)}` is off")
 
     def restart(self) -> Outcome:
-        """Simulate the files as they are, with what was set by hand, from the first frame: a clean run, whose hashes are those of
-        `antdsl run` once the lines for what was set stand in the files."""
+        """Simulate the files as they are, with manual settings, from the first frame. This is a clean run: its hashes are those
+        of `antdsl run` once the files contain the lines for the settings."""
         return self._begin(self.choices, self._stretch.off)
 
     def _begin(self, choices: Choices, off: Off) -> Outcome:
@@ -269,7 +270,7 @@ class Session:
         return Outcome(report, f"{len(self.world):,} agents from frame {self.frame}", did=_AGAIN)
 
     def _opened(self, choices: Choices, off: Off) -> tuple[Shot | None, Report, list[tuple[str, str]]]:
-        """The shot of the files with these choices, and which layers are there no more."""
+        """Return the shot of the files with these choices, and the layers that no longer exist."""
         before = self.compiler.instead
         self.compiler.instead, gone = texts_without(off)
         shot, report = self.compiler.open(choices)
@@ -278,7 +279,7 @@ class Session:
         return shot, report, gone
 
     def _with(self, choices: Choices, off: Off, text: str = "", did: str | None = None) -> Outcome:
-        """Go on with the files as they are and other choices; without `did` it is the files that may be other ones."""
+        """Go on with the current files and other choices. Without `did`, it is the files that may have changed."""
         shot, report, gone = self._opened(choices, off)
         if shot is None or not report.ok:
             return Outcome(report)
@@ -301,7 +302,7 @@ class Session:
         return Outcome(report, line, text, did)
 
     def _undone(self) -> str:
-        """Where the files are again what they were at this frame, forget what came of the edit that they no longer have."""
+        """If the files are again as they were at this frame, drop the later frames that came from the undone edit."""
         later = [each for each in self.timeline.stretches if each.first > self.frame and each.off == self._stretch.off]
         if all(_files(each.shot) == _files(self.shot) for each in later):
             return ""
@@ -310,7 +311,7 @@ class Session:
         return line
 
     def _known(self, choices: Choices, off: Off) -> tuple[Choices, list[str]]:
-        """The choices less the values that the files as they are have no use for, with words about those."""
+        """Return the choices without values that the current files cannot use, and a text for each dropped value."""
         shot, report, _ = self._opened(replace(choices, params={}), off)
         if shot is None or not report.ok:
             return choices, []
@@ -326,17 +327,17 @@ def _short(text: str) -> str:
 
 
 def silenced(field: str) -> dict[str, str]:
-    """What is set to have a field hold next to nothing."""
+    """Return the settings that keep a field's content near 0."""
     return {f"{field}.limit": "0.000001", f"{field}.keeps": "0 %/step"}
 
 
 def _files(shot: Shot) -> dict[str, str]:
-    """What a shot was made of, less what was set by hand."""
+    """Return the files that a shot was made of, without values set by hand."""
     return {name: known for name, known in shot.inputs.items() if not name.startswith("--set ")}
 
 
 def _quantity(shot: Shot, name: str, value: str) -> tuple[Quantity | None, Report]:
-    """A value for a param or a setting of a field, or None and what is wrong with it."""
+    """Return a value for a param or a setting of a field, or None with the errors."""
     report = Report()
     try:
         quantity = parse_quantity(value)

@@ -15,7 +15,7 @@ from antdsl.scene.document import MappingNode, Node, SequenceNode, decode
 from antdsl.scene.paths import PathRefused, read_named
 from antdsl.source import Source
 
-_NAMED = 3  # files that are told by name
+_NAMED = 3  # files reported by name
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -29,7 +29,8 @@ class Foreseen:
     parsed: Parsed
 
     def holds(self, choices: Choices, instead: Mapping[Path, str], parsed: Parsed) -> bool:
-        """Whether the same would come out again. `parsed` has the programs as they are now: same objects for same texts."""
+        """Return whether opening again would give the same shot. `parsed` has the current programs: equal texts give identical
+        objects."""
         return (
             (choices, instead) == (self.choices, self.instead)
             and parsed.keys() == self.parsed.keys()
@@ -58,7 +59,7 @@ class Foreseen:
 
 
 def sources(document: Node) -> Iterator[Source]:
-    """The texts that parts of a scene stand in: one that is extended is among them."""
+    """Yield the texts that contain parts of a scene, including an extended scene."""
     found: set[Source] = set()
     stack: list[Node] = [document]
     while stack:
@@ -81,8 +82,8 @@ def _same_text(source: Source) -> bool:
 
 
 def differing(old: Shot, new: Shot) -> str:
-    """The files that two shots were made of, as far as they differ: `forager.ant line 34, scene.yaml lines 9–12`; empty where
-    none does."""
+    """Return the files in which two shots differ, with lines: `forager.ant line 34, scene.yaml lines 9–12`; empty if none
+    differs."""
     before, after = _texts(old), _texts(new)
     found = [_lines(name, before.get(name), text) for name, text in after.items() if before.get(name) != text]
     others = {name for name in old.inputs.keys() & new.inputs.keys() if old.inputs[name] != new.inputs[name]}
@@ -98,7 +99,7 @@ def _texts(shot: Shot) -> dict[str, str]:
 
 
 def _lines(name: str, old: str | None, new: str) -> str:
-    """A file with the lines of it that are other ones now, from the first to the last."""
+    """Return a file's name with its changed lines, from the first to the last."""
     if old is None:
         return f"{name} is new"
     before, after = old.splitlines(), new.splitlines()

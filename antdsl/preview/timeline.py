@@ -1,4 +1,4 @@
-"""What was simulated so far: stretches of time, each of one program, with checkpoints to go back to and light frames to show."""
+"""The simulated history: stretches of time, each of one program, with checkpoints to restore and light frames to show."""
 
 from __future__ import annotations
 
@@ -26,9 +26,9 @@ Arrays = dict[str, NDArray[Any]]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Light:
-    """Agents of one species at one frame, by id: ids int64[n], places float32[n,3] in the world's own count, heading and up
-    int8[n,3] (127 is 1), sizes float32[n] in mm, states uint8[n] by machine. What is as it was in the frame before is the same
-    array."""
+    """Agents of one species at one frame, by id. `ids` int64[n]; `places` float32[n,3] relative to the world's origin; heading
+    and up int8[n,3] (127 is 1); sizes float32[n] in mm; states uint8[n] by machine. An array that equals that of the previous
+    frame is the same object."""
 
     ids: NDArray[np.int64]
     position: NDArray[np.float32]
@@ -39,7 +39,7 @@ class Light:
 
     @classmethod
     def of(cls, population: Population, before: Light | None = None) -> Light:
-        """A species as it is; `before`: as it was in the frame before."""
+        """Return the current state of a species. `before`: its state in the previous frame."""
         rows = population.in_id_order()
         ids, size = population.ids[rows], population.now["size"][rows]
         if before is not None:
@@ -85,15 +85,15 @@ def _arrays(lights: Mapping[str, Light]) -> Iterator[NDArray[Any]]:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Posed:
-    """What agents of one species did with their bodies at a frame, as pages are told: arrays by name, that make sense for the
-    body and the clips of `worn` alone."""
+    """What agents of one species did with their bodies at a frame, as sent to pages: arrays by name, valid only for the body and
+    the clips of `worn`."""
 
     worn: object
     arrays: Arrays
 
 
 class Poses(dict[int, Mapping[str, Posed]]):
-    """What bodies did, by frame and species; of `nbytes` in all."""
+    """Poses of bodies by frame and species, `nbytes` in total."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -121,9 +121,9 @@ class Change:
 
 @dataclass(slots=True, eq=False)
 class Stretch:
-    """Frames from `first` on that one shot made; `line` says how it came about, `choices` and `off` what was set by hand then:
-    `off` has layers by species and text, with the file that each stands in. `changes` are params set on the way. `fresh`: as far
-    as to its first frame, all is as in a run that nobody edited."""
+    """Frames from `first` on that one shot made. `line` says how it came about; `choices` and `off` are the manual settings at
+    that time. `off` has layers by species and text, with the file of each. `changes` are params set on the way. `fresh`: up to
+    its first frame, all is as in a run without edits."""
 
     shot: Shot
     first: int
@@ -137,8 +137,8 @@ class Stretch:
     _unedited: tuple[object, str] | None = None  # what an unedited run to its first frame is made of, and the hash there
 
     def go_on_from(self, before: Stretch, old: World, world: World) -> None:
-        """Take the place of another at the frame of `old`, with `world`, which was made of that. It is a fresh run still where an
-        edit was undone at the frame at which it was made, and nothing was lost by it."""
+        """Replace the stretch `before` at the frame of `old`, with `world`, which was made from `old`. The stretch still counts
+        as a fresh run if an edit was undone at the frame of the edit and nothing was lost."""
         if before.first == old.frame and before._unedited is not None:
             self._unedited = before._unedited
         elif before.fresh and not before.changes:
@@ -150,7 +150,7 @@ class Stretch:
         return dict(self.shot.inputs), frozenset(self.off)
 
     def change(self, world: World, name: str, text: str, value: float) -> None:
-        """Set a param from the world's frame on; one that is put back at the frame at which it was set was never set."""
+        """Set a param from the world's frame on. A value that is put back at the frame at which it was set leaves no change."""
         here = [each for each in self.changes if (each.frame, each.name) == (world.frame, name)]
         was = here[0].was if here else float(world.params[name])
         self.changes = [each for each in self.changes if each not in here]
@@ -159,13 +159,13 @@ class Stretch:
         set_param(world, name, value)
 
     def world(self, arrays: Arrays, options: Options, built: Built) -> World:
-        """A world of its own, as a checkpoint has it."""
+        """Return a separate world, as a checkpoint has it."""
         world = unpeopled(self.shot.plan, self.shot.setting, options, built=built, origin=self.origin)
         restore(world, arrays)
         return world
 
     def before_step(self, world: World) -> None:
-        """Give a world the params that were set at its frame."""
+        """Set the params of a world that change at its frame."""
         for change in self.changes:
             if change.frame == world.frame:
                 set_param(world, change.name, change.value)
@@ -173,7 +173,7 @@ class Stretch:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Branch:
-    """What was simulated before it was done otherwise from frame `first` on: its curves, to be seen beside the new ones."""
+    """The history that was replaced from frame `first` on. Its curves are displayed next to the new ones."""
 
     first: int
     line: str
@@ -181,11 +181,13 @@ class Branch:
 
 
 class Timeline:
-    """Stretches in order of time. A checkpoint each `every` frames; `budget` bytes in all, above which what bodies did goes
-    first, of the oldest frames, until it takes an eighth; then light frames,
-    the oldest ones, until they take a quarter; then checkpoints between others, where they are closest; then whole stretches,
-    the oldest ones. `curves` are in order of frames, the last 50,000 of them; `branches` the last 8; `stops` are the frames at
-    which play was stopped, with why, the last 256."""
+    """Stretches in order of time, with a checkpoint every `every` frames.
+
+    Above `budget` bytes, data is dropped in this order: poses of the oldest frames, until poses take an eighth; the oldest light
+    frames, until they take a quarter; checkpoints between others, where they are closest; whole stretches, oldest first.
+
+    `curves` holds the last 50,000 frames in order, `branches` the last 8. `stops` are the last 256 frames at which play was
+    stopped, with the reason."""
 
     def __init__(self, every: int, budget: int) -> None:
         self.every, self.budget = every, budget
@@ -204,7 +206,7 @@ class Timeline:
 
     @property
     def nbytes(self) -> int:
-        """Memory of all that is kept but curves."""
+        """Return the memory of all that is stored but curves."""
         return self._bytes + self.light.nbytes + self.poses.nbytes
 
     def at(self, frame: int) -> Stretch:
@@ -216,16 +218,16 @@ class Timeline:
         return self.stretches[number] if number < len(self.stretches) else None
 
     def start(self, stretch: Stretch, world: World) -> None:
-        """Go on with another stretch from its first frame; what was there from that frame on becomes a branch."""
+        """Continue with another stretch from its first frame. The old history from that frame on becomes a branch."""
         self.cut(stretch.first, stretch.line)
-        self.curves.pop(stretch.first, None)  # to be measured anew
+        self.curves.pop(stretch.first, None)  # to be measured again
         for each in [each for each in self.stretches if each.first == stretch.first]:
             self._drop(each)
         self.stretches.append(stretch)
         self.note(stretch, world)
 
     def cut(self, frame: int, line: str) -> None:
-        """Forget what comes after a frame but for its curves."""
+        """Drop everything after a frame except its curves."""
         old = {each: values for each, values in self.curves.items() if each > frame}
         if old:
             self._branch(Branch(frame, line, old))
@@ -243,7 +245,7 @@ class Timeline:
             self.curves.setdefault(frame, {})  # it may be older than all that there are
 
     def begun_again(self, line: str) -> Timeline:
-        """An empty one. What there was becomes a branch of it, if it was more than a frame."""
+        """Return an empty timeline. The old history becomes a branch of it, if it has more than one frame."""
         made = Timeline(self.every, self.budget)
         made.branches = self.branches
         if len(self.curves) > 1:
@@ -261,7 +263,7 @@ class Timeline:
         self.branches = [*self.branches[1 - _BRANCHES :], branch]
 
     def note(self, stretch: Stretch, world: World) -> None:
-        """Keep what a world is like at its frame: once for a frame, however often it is gone through again."""
+        """Store the state of a world at its frame, once per frame, even if the frame is simulated again."""
         frame = world.frame
         fresh = not self.curves or frame > self.head
         if fresh:
@@ -292,7 +294,8 @@ class Timeline:
             pass
 
     def _let_go(self, current: Stretch) -> bool:
-        """Of what is missed least; False where only one light frame and the checkpoints that stretches begin with are left."""
+        """Drop the data that is missed least. Return False if only one light frame and the first checkpoints of stretches are
+        left."""
         if self.poses.nbytes > _POSES * self.budget:
             self.poses.drop(next(iter(self.poses)))
             return True
@@ -313,8 +316,8 @@ class Timeline:
 
 
 def _between(stretch: Stretch) -> Iterator[tuple[bool, int, int, Stretch]]:
-    """Checkpoints of a stretch but the first: whether it is the last one, how long one would simulate at most without it, its
-    frame."""
+    """Yield the checkpoints of a stretch except the first: whether it is the last one, the longest simulation without it
+    (frames), its frame, the stretch."""
     frames = sorted(stretch.checkpoints)
     for before, frame, after in zip(frames, frames[1:], [*frames[2:], None], strict=False):
         yield after is None, (frame if after is None else after) - before, frame, stretch
@@ -338,7 +341,7 @@ def _size(arrays: Arrays) -> int:
 
 
 def nearest_checkpoint(stretch: Stretch, frame: int) -> int:
-    """The last frame with a checkpoint, at or before one of the stretch."""
+    """Return the last frame of the stretch with a checkpoint, at or before `frame`."""
     return max(each for each in stretch.checkpoints if each <= frame)
 
 

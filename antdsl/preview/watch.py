@@ -31,14 +31,14 @@ class _File:
     held: Stamp  # when that was read
     since: float | None = None  # when it was found other than before; None: nothing is up
     read: float = 0.0
-    stirred: bool = False  # nobody has heard of that yet
+    stirred: bool = False  # not reported yet
 
 
 class Watch:
-    """Files, by what `paths` gives each time: an edit may bring in others. `opened` gives a handle on a regular file, or an
-    OSError; `clock` counts seconds.
+    """Watched files, from `paths` at each poll, because an edit may add files. `opened` gives a handle on a regular file, or
+    raises OSError; `clock` returns seconds.
 
-    What is no regular file counts as one that is not there, until one takes its place."""
+    A file that is not regular counts as missing until a regular one replaces it."""
 
     def __init__(
         self,
@@ -53,7 +53,7 @@ class Watch:
         self.look()
 
     def look(self) -> tuple[Path, ...]:
-        """Files that have other contents than when they were last told of, or first seen, and have come to rest."""
+        """Return the files with other contents than when they were last reported, or first seen, that no longer change."""
         now, paths, self._left = self._clock(), list(dict.fromkeys(self._paths())), _AT_ONCE
         changed = [path for path in paths if path in self._files and self._changed(path, self._files[path], now)]
         for path in paths:
@@ -64,21 +64,21 @@ class Watch:
         return tuple(changed)
 
     def doubt(self) -> None:
-        """Somebody has read the files besides: those that are changing right now count as changed once they rest, also if they
-        are then what they were at first."""
+        """Note that the files were read elsewhere: those that are changing right now count as changed once they rest, even if
+        they have their first contents then."""
         for path, file in self._files.items():
             if _stamp(path) != file.held:
                 file.contents = _UNKNOWN
 
     def stirs(self) -> bool:
-        """Whether a file was found other than before and may still be being written. Says so once for each time that happens."""
+        """Return whether a file changed and may still be being written. Reports each change once."""
         found = [file for file in self._files.values() if file.stirred]
         for file in found:
             file.stirred = False
         return any(file.stamp is not None and file.stamp[1] > 0 for file in found)
 
     def changes(self, stop: Event, every: float = 0.02) -> Iterator[tuple[Path, ...]]:
-        """Wait for changes until somebody sets `stop`."""
+        """Wait for changes and yield them until `stop` is set."""
         while not stop.wait(every):
             changed = self.look()
             if changed:
@@ -102,7 +102,7 @@ class Watch:
         return other
 
     def _contents(self, path: Path) -> bytes | None:
-        """A hash of what is in a regular file; of a large one, of its stamp."""
+        """Return a hash of a regular file's content; for a large file, of its stamp."""
         hashed = blake2b(digest_size=16)
         try:
             handle = self._opened(path)

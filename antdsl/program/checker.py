@@ -1,4 +1,4 @@
-"""Files of one program to a checked Program: names first, then types, then the checks that look at the whole."""
+"""Checks the files of one program and returns a Program: names first, then types, then the checks of the whole program."""
 
 from __future__ import annotations
 
@@ -33,13 +33,11 @@ def check(
     strict: bool = False,
     memo: Memo | None = None,
 ) -> tuple[model.Program, Report]:
-    """Names, types, units and rates of one or more files, and everything else that can be known without running them.
+    """Check names, types, units, rates and everything else that can be known of one or more files without a run.
 
-    `library` gives the file behind `use NAME`, or None; `modules` the files behind `use "PATH" as NAME`, by `Source.path` or by
-    the path as written. `strict` adds warnings about what is legal and depends on the frames per second. `memo` brings what an
-    earlier check found about parts that are still the same. A program that comes with errors in the report is for looking at,
-    not for lowering.
-    """
+    `library` gives the file behind `use NAME`, or None. `modules` has the files behind `use "PATH" as NAME`, by `Source.path` or
+    by the path as in the text. `strict` adds warnings about legal code that depends on the frames per second. `memo` supplies
+    results of an earlier check for unchanged parts. A program with errors in the report can be inspected, but not lowered."""
     files = [files] if isinstance(files, nodes.File) else list(files)
     report = Report()
     declared = Declared(RULES, report, strict, memo=memo)
@@ -66,14 +64,14 @@ def check(
         memo.keep(() if sound else (*OF_SOUND, "named"))
         memo.forget()
         if any(each.wanting for each in loader.known.values()):
-            memo.known.clear()  # parts kept silent about what a missing `use` would bring
+            memo.known.clear()  # parts did not report what a missing `use` would bring
     places = {first: tuple(dict.fromkeys(others)) for first, *others in declared.unknown.values() if others}
     program = replace(program, bindings=Bindings(tuple(declared.bound)))
     return program, without_consequences(*_whole(loader, with_all_places(report, places), recovered))
 
 
 def _look(checked: Checked, look: Check, report: Report) -> None:
-    """A check of the whole; one that looks at each species by itself looks again only where something has changed."""
+    """Run a check of the whole program; one that looks at each species alone runs again only where something has changed."""
     program = checked.program
     if checked.declared.memo is None or look not in OF_EACH:
         look(checked, report)
@@ -128,7 +126,7 @@ def _outside(declared: Declared, loader: Loader) -> Hashable:
 
 
 def _types(species: SpeciesNames) -> Hashable:
-    """The types of what a species has, as far as they are known."""
+    """Return the types of a species' members, as far as they are known."""
     return (species.name, *species.attributes.items(), *species.each.items(), *species.params.items())
 
 
@@ -160,7 +158,7 @@ def _program(
 
 
 def _spec_names(declared: Declared, file: FileNames) -> None:
-    """Specs are told apart by their names, in reports and where results are kept: in one file each has its own."""
+    """Check that each spec of a file has its own name: names distinguish specs in reports and stored results."""
     first: dict[str, Span] = {}
     for spec in (item for item in file.node.items if isinstance(item, nodes.Spec)):
         if spec.name.text in first:
@@ -184,7 +182,8 @@ def _modules(names: Sequence[FileNames]) -> list[FileNames]:
 
 
 def _behaviours(declared: Declared, names: Sequence[FileNames]) -> None:
-    """Behaviours of the program's own files are checked even if nobody calls them; those of the library when they are called."""
+    """Check behaviours of the program's own files even if nothing calls them; those of the library are checked when they are
+    called."""
     for file in names:
         for info in file.own.values():
             check_behaviour(declared, info)

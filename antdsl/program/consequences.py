@@ -1,7 +1,7 @@
-"""One cause, one complaint: drops what the checks say only because of something that was complained about already, and tells what
-is missing at many places once, with all of them.
+"""One finding per cause: drops findings that follow only from an earlier error, and reports one that is missing in many places
+once, with all of them.
 
-What seems idle beside a mistake is not looked for at all (`checks.OF_SOUND`); here it is about errors that follow from errors."""
+Near an error, idle code is not searched for at all (`checks.OF_SOUND`). This module handles errors that follow from errors."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from antdsl.source import Source, Span
 _WORDS = re.compile(r"[a-z_][a-z_0-9]*")
 # Complaints about a name that is missing: dropped where a line that was not understood could be its declaration.
 _MISSING = frozenset(("unknown-name", "unknown-state", "unknown-field", "unknown-species", "unknown-behaviour", "unknown-module"))
-# Complaints that something is left out: dropped where a slip of the pen is told for which that very word is meant.
+# Findings that something is left out: dropped where a misspelling of that very word is reported.
 _LEFT_OUT = frozenset(("missing-setting", "missing-start", "state-not-in-layers"))
 _FIRST_WORD = re.compile("`([a-z_]+)[^`]*`")
 # A line that has come no further than the word that declares something.
@@ -27,7 +27,7 @@ _SHOWN = 12  # of the places where one thing is missing
 
 @dataclass(slots=True)
 class _Doubt:
-    """Lines of one source that were not understood as they stand: their numbers, and the first words in them."""
+    """Lines of one source that could not be parsed: their numbers, and their first words."""
 
     lines: set[int] = field(default_factory=set)
     heads: set[str] = field(default_factory=set)
@@ -35,7 +35,7 @@ class _Doubt:
 
 
 def without_consequences(report: Report, recovered: Iterable[Span]) -> Report:
-    """The same report less what follows from `recovered` places, of which parsing has told, and from names that are misspelt."""
+    """Return the report without what follows from `recovered` places, which parsing has reported, and from misspelt names."""
     doubts: dict[Source, _Doubt] = {}
     for span in recovered:
         _doubt(doubts.setdefault(span.source, _Doubt()), span)
@@ -45,12 +45,12 @@ def without_consequences(report: Report, recovered: Iterable[Span]) -> Report:
 
 
 def with_all_places(report: Report, places: Mapping[Span, Sequence[Span]]) -> Report:
-    """The same report where a complaint about the first of some places has the others too."""
+    """Return the report in which a finding about the first of several places also names the others."""
     return Report([replace(d, labels=_also(d, places)) if d.span in places else d for d in report.diagnostics])
 
 
 def in_one(report: Report) -> Report:
-    """The same report where what is told in the same words of several places of one file is told once, with all of them."""
+    """Return the report with one finding for equal messages about several places of one file, with all of the places."""
     found: dict[tuple[str, str, str], list[Diagnostic]] = {}
     for each in report.diagnostics:
         found.setdefault((each.code, each.message, each.span.source.path if each.span else ""), []).append(each)

@@ -1,5 +1,5 @@
-"""What a program asks for in each state: senses, fields, draws and sums, each with a rough weight, so that states can be held
-against each other before anything runs. Nothing is measured here."""
+"""The estimated cost of a program in each state: senses, fields, draws and sums, each with a rough weight. It compares states
+before a run. Nothing is measured."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ _TAKE = Cost(40, "takes {thing}")
 
 @dataclass(frozen=True, slots=True)
 class Use:
-    """One thing that is asked for: its kind, in the words of the table, how often in a step, and the weight of all."""
+    """One thing that is used: its kind, in the words of the table, how often in a step, and the weight of all."""
 
     kind: str  # senses, fields or draws
     words: str
@@ -45,7 +45,7 @@ class Use:
 
 @dataclass(frozen=True, slots=True)
 class Part:
-    """What one state asks for, or what every state does: `name` is `MACHINE.STATE`, or `every state`."""
+    """The uses of one state, or of every state: `name` is `MACHINE.STATE`, or `every state`."""
 
     name: str
     uses: tuple[Use, ...]
@@ -57,7 +57,7 @@ class Part:
 
 
 def costs(program: Program, species: Species) -> list[Part]:
-    """Every state of a species in the order of the text, and last what is done whatever the state."""
+    """Return the costs of every state of a species in text order, and last those common to all states."""
     found = [
         Part(
             state.name if len(species.machines) == 1 else f"{machine.name}.{state.name}",
@@ -77,7 +77,7 @@ def costs(program: Program, species: Species) -> list[Part]:
 
 
 def _of(species: Species, machine: Machine, state: State) -> object:
-    """What is worked out in each step in which somebody is in the state; what is done once, on the way in or out, is not."""
+    """Return what is computed in each step in which an agent is in the state; what is done once, on entry or exit, is not."""
     still = species.rest.push if species.rest is not None and state.index in species.rest.silent.get(machine.name, ()) else None
     changes = [(change.condition, change.after, change.held, change.take) for change in state.transitions]
     return state.body, still, changes
@@ -90,14 +90,14 @@ def _uses(program: Program, root: object) -> tuple[tuple[Use, ...], int]:
     for part in parts(root):
         sums += _operations(part) * (MEMBERS if id(part) in inside else 1)
         for use in _use(part):
-            # the same question twice is asked once; draws are each their own
+            # an equal sense is computed once; draws are each their own
             kept = found.get((use.kind, use.words), 0.0)
             found[use.kind, use.words] = kept + use.weight if use.kind == "draws" else use.weight
     return tuple(Use(kind, words, weight) for (kind, words), weight in found.items()), sums
 
 
 def _inside_sets(root: object) -> set[int]:
-    """What is worked out for each member of a set."""
+    """Return what is computed for each member of a set."""
     return {id(inner) for part in parts(root) if isinstance(part, (Reduce, SetOf)) for inner in _per_member(part)}
 
 
@@ -138,7 +138,7 @@ def _use(part: object) -> Iterable[Use]:
 
 
 def _said(cost: Cost, thing: str, args: tuple[Expr | None, ...] = (), op: str = "") -> Use:
-    """A use as its row says it: how many, of what, and how far."""
+    """Return a use as its row describes it: count, thing and distance."""
     count = 1
     if cost.times is not None:
         times = args[cost.times] if len(args) > cost.times else None
@@ -151,7 +151,7 @@ def _said(cost: Cost, thing: str, args: tuple[Expr | None, ...] = (), op: str = 
 
 
 def _words(expr: Expr | None) -> str:
-    """An argument as the author wrote it where the behaviour was called, or as it stands in the behaviour."""
+    """Return an argument's text: that of the call of the behaviour, or that in the behaviour."""
     while isinstance(expr, Local) and expr.binding.role == "argument" and expr.binding.value is not None:
         expr = expr.binding.value
     return " ".join(expr.span.text.split()) if expr is not None else "any distance"

@@ -1,4 +1,4 @@
-"""What a spec says once it is checked: what is expected and when, and the expressions that only a spec can have."""
+"""A checked spec: what is expected and when, and the expressions that only specs can have."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ from antdsl.syntax import nodes
 
 @value
 class Whole(Expr):
-    """A number or truth about all there are. `how`: total mean min max share count any every; `over`: a SPECIES, ITEMS, FIELD
+    """A number or bool about a whole population. `how`: total mean min max share count any every. `over`: a SPECIES, ITEMS, FIELD
     or SOLID (its total is the volume).
 
-    `where` and `body` are expressions of one of them: an agent itself, or an item. `elements` are the names that stand for it."""
+    `where` and `body` are expressions about one agent or item. `elements` are the names bound to it."""
 
     how: str
     over: Type
@@ -23,28 +23,28 @@ class Whole(Expr):
 
 @value
 class AtStart(Expr):
-    """What a number was at the first frame of the spec, or in the first frame of each agent."""
+    """The value of a number at the first frame of the spec, or in the first frame of each agent."""
 
     value: Expr
 
 
 @value
 class Other(Expr):
-    """What a number of the whole is in the run that the spec compares with, at the same frame."""
+    """The value of a number about the whole in the spec's reference run, at the same frame."""
 
     value: Expr
 
 
 @value
 class Bodily(Expr):
-    """How an agent's body stands, by its name in GEOMETRY: what agents themselves do not sense."""
+    """The pose of an agent's body, by its name in GEOMETRY: values that agents themselves do not sense."""
 
     name: str
 
 
 @value
 class CellValue(Expr):
-    """How much of a field is in a cell, where the cells are asked one by one."""
+    """The amount of a field in a cell, where cells are evaluated one by one."""
 
     field: str
 
@@ -58,7 +58,8 @@ class Measured(Expr):
 
 @value
 class Reading:
-    """A part of a condition whose value is told where it fails; `unit` is one that the author wrote there, or a usual one."""
+    """A part of a condition with a value that is reported if it fails; `unit` is one that the author wrote there, or a usual
+    one."""
 
     expr: Expr
     unit: str
@@ -66,8 +67,9 @@ class Reading:
 
 @value
 class Expectation:
-    """`kind`: always never eventually finally sooner within for until. `species`: judged of each agent of it; None: of the
-    whole. `held`: the condition counts once it has held for so long. `since`: the time begins whenever this comes to hold."""
+    """One expectation. `kind`: always never eventually finally sooner within for until. `species`: judged for each of its agents;
+    None: for the whole. `held`: the condition counts once it has held for that time. `since`: the time starts whenever this
+    condition becomes true."""
 
     kind: str
     block: int  # 0 is the spec itself, then the `each` blocks in their order
@@ -92,7 +94,7 @@ class Changed:
 
 @value
 class Against:
-    """The run that a spec compares with: another scene, or the same, with changes besides the spec's own."""
+    """The run that a spec compares with: another scene, or the same, with changes in addition to the spec's own."""
 
     scene: nodes.Text | None
     changes: tuple[Changed, ...]

@@ -1,4 +1,4 @@
-"""Dimensions, kinds, types and rates of values: what the checker finds out about every expression."""
+"""Dimensions, kinds, types and rates of values: what the checker infers for every expression."""
 
 from __future__ import annotations
 

@@ -1,4 +1,5 @@
-"""What an earlier check found about parts of a program, for a check of nearly the same program: an editor checks at every key."""
+"""Results of an earlier check for parts of a program, reused in a check of a slightly edited program. An editor checks at every
+key press."""
 
 from __future__ import annotations
 
@@ -18,21 +19,21 @@ _Key = tuple[tuple[Any, ...], int]  # what a part is and depends on, and a numbe
 
 
 def part(declared: Declared, key: tuple[Any, ...], make: Callable[[], T]) -> T:
-    """What `make` gives, or gave in an earlier check of which somebody kept the memo. The key holds all that it depends on
-    besides `declared.outside`."""
+    """Return what `make` returns, or returned in an earlier check with a retained memo. The key holds all that it depends on,
+    apart from `declared.outside`."""
     return make() if declared.memo is None else declared.memo.part(declared, (key, declared.outside), make)
 
 
 def seen(declared: Declared, outside: Hashable) -> int:
-    """Sets `declared.outside` to a number for all that parts can see of the others from here on, and gives it. What there is to
-    see may be long: it is looked at once, not with each part's key."""
+    """Set `declared.outside` to a number for everything that parts can see of the others from here on, and return it. The visible
+    state may be large, so it is compared once, not with each part's key."""
     declared.outside = 0 if declared.memo is None else declared.memo.number(outside)
     return declared.outside
 
 
 @dataclass(frozen=True, slots=True)
 class _Known:
-    """What came out of a part. `expanded`: the operations of behaviours that were put in place for it."""
+    """The result of a part. `expanded`: the number of operations of behaviours expanded for it."""
 
     result: Any
     said: tuple[Diagnostic, ...]
@@ -43,7 +44,7 @@ class _Known:
 
 
 class _Unknown(dict[tuple[str, ...], list[Span]]):
-    """Unknown names that were told. A part that kept silent because of them may have to speak another time."""
+    """Unknown names that were reported. A part that was silent because of them may have to report another time."""
 
     silenced = False
 
@@ -54,7 +55,7 @@ class _Unknown(dict[tuple[str, ...], list[Span]]):
 
 
 class Memo:
-    """Results of parts by all that they depend on. What was not asked for in a whole check is forgotten after it."""
+    """Results of parts by all that they depend on. What a whole check did not use is forgotten after it."""
 
     def __init__(self) -> None:
         self.known: dict[_Key, _Known] = {}
@@ -64,7 +65,8 @@ class Memo:
         self.given = 0
 
     def number(self, value: Hashable) -> int:
-        """A number for a value: the same for an equal one, as long as neither it nor a part that saw it is forgotten."""
+        """Return a number for a value. Equal values get the same number while the value, or a part that used it, is
+        remembered."""
         if value not in self.numbers:
             self.given += 1
             self.numbers[value] = self.given
@@ -72,8 +74,8 @@ class Memo:
         return self.numbers[value]
 
     def part(self, declared: Declared, key: _Key, make: Callable[[], T]) -> T:
-        """What `make` gives, or gave for the same key; with it goes what it complained about, what it resolved names to, and what
-        it counted as used and written."""
+        """Return the result of `make`, or its earlier result for the same key. Its findings, resolved names and counted uses and
+        writes come with it."""
         self.asked.add(key)
         known = self.known.get(key)
         if known is None:
@@ -103,11 +105,11 @@ class Memo:
         return result
 
     def keep(self, kinds: Collection[Hashable]) -> None:
-        """Count what is known of some kinds of parts, by the first of their key, as asked for: it was left out this time."""
+        """Count the results of some kinds of parts, by the first of their key, as used: they were left out this time."""
         self.asked |= {key for key in self.known if key[0][0] in kinds}
 
     def forget(self) -> None:
-        """Drop what the check that has ended did not ask for."""
+        """Drop entries that the completed check did not use."""
         self.known = {key: value for key, value in self.known.items() if key in self.asked}
         seen = self.seen.union(outside for _, outside in self.known)
         self.numbers = {value: number for value, number in self.numbers.items() if number in seen}

@@ -47,7 +47,7 @@ class Steer:
 
 @value
 class Face:
-    """Turn the body towards `way`, of which the direction alone counts."""
+    """Turn the body towards `way`; only its direction counts."""
 
     way: Expr
     span: Span
@@ -69,9 +69,9 @@ class Assign:
 
 @value
 class Ask:
-    """What the row `op` of `antdsl.program.tables.effects` asks of `of`. `args` are the row's `numbers` in order (None: absent);
-    `own` is the attribute that what comes of it is added to. `per_second`: the first of `args` is a rate, multiply by dt. `key`:
-    the site of its random numbers."""
+    """A request of the row `op` of `antdsl.program.tables.effects` to `of`. `args` are the row's `numbers` in order (None:
+    absent). `own` is the attribute that the result is added to. `per_second`: the first of `args` is a rate, to be multiplied by
+    dt. `key`: the site of its random numbers."""
 
     op: str
     of: str
@@ -84,7 +84,7 @@ class Ask:
 
 @value
 class Give:
-    """`amount` None gives all. `to` has type ITEM, or ITEMS: then the nearest one."""
+    """`amount` None gives all. `to` has type ITEM, or ITEMS for the nearest one."""
 
     attribute: str
     amount: Expr | None
@@ -95,9 +95,9 @@ class Give:
 
 @value
 class Play:
-    """`clip` is played as long as the state lasts, on the joints of the transform group `on` ("": all), `speed` times as fast as
-    it goes and with the share `weight` (None: 1). Where `again` holds as an agent comes into the state, it begins anew.
-    `add`: it is added to what is played besides."""
+    """`clip` is played as long as the state lasts, on the joints of the transform group `on` ("": all). It runs at `speed` times
+    its own speed and with the share `weight` (None: 1). Where `again` holds as an agent comes into the state, it restarts. `add`:
+    it is added to other clips that play."""
 
     clip: str
     on: str
@@ -111,8 +111,7 @@ class Play:
 
 @value
 class Wear:
-    """Agents in the state show the geometry layer `layer` of their body beside its own, those for whom `when` holds (None:
-    all)."""
+    """Agents in the state show the geometry layer `layer` of their body beside its own, if `when` holds for them (None: all)."""
 
     layer: str
     when: Expr | None
@@ -121,7 +120,7 @@ class Wear:
 
 @value
 class Channel:
-    """The channel of the body has this value for agents in the state, whatever clips say of it."""
+    """A channel of the body has this value for agents in the state, and overrides clips."""
 
     channel: str
     value: Expr
@@ -130,8 +129,8 @@ class Channel:
 
 @value
 class Look:
-    """The joints of a transform group turn to a place, at most `within` (None: 60 deg) from straight ahead, a share of the way
-    as `over` (None: 0.2 s) says."""
+    """A transform group turns towards a place, at most `within` (None: 60 deg) from straight ahead. `over` (None: 0.2 s) sets how
+    fast."""
 
     group: str
     at: Expr
@@ -145,8 +144,8 @@ Statement = Steer | Face | Assign | Ask | Give | Play | Wear | Channel | Look
 
 @value
 class Take:
-    """`source` has type ITEM, or FIELD: the cell below the feet. `amount` None is all that is there; what is taken from a field
-    without an `attribute` is gone."""
+    """`source` has type ITEM, or FIELD for the cell below the feet. `amount` None takes all. Without an `attribute`, the amount
+    taken from a field disappears."""
 
     attribute: str | None
     amount: Expr | None
@@ -159,7 +158,8 @@ ANYWHERE = "from any"  # in the keys of those changes: no state can have this na
 
 @value
 class Transition:
-    """`condition` None is always true. All parts given must hold: `after` (time in the state), `condition` for `held`."""
+    """`condition` None is always true. All conditions that are present must hold: `after` (time in the state), and `condition`
+    for `held`."""
 
     key: str  # forager.main.search->approach#1
     interrupt: bool
@@ -199,7 +199,8 @@ class Machine:
 
 @value
 class AttributeDecl:
-    """`default` is evaluated once, at birth (params, draws allowed). `given` marks size, max_speed and the like."""
+    """`default` is evaluated once, at birth (params and draws allowed). `given` marks built-in attributes such as size and
+    max_speed."""
 
     name: str
     type: Type
@@ -229,7 +230,7 @@ class Param:
 
 @value
 class Handler:
-    """`event`: spawn, collision, or an emitted one. `other` is bound for a collision with an agent of the species `of`."""
+    """`event`: spawn, collision, or an emitted one. For a collision, `other` is bound to the other agent, of the species `of`."""
 
     event: str
     other: Binding | None
@@ -240,7 +241,7 @@ class Handler:
 
 @value
 class Layer:
-    """`push` None is the word `state`: what the states steer. `faces`: a `face` line, whose `push` turns the body alone."""
+    """`push` None is the word `state`: what the states steer. `faces`: a `face` line; its `push` turns the body alone."""
 
     push: Expr | None
     condition: Expr | None
@@ -259,8 +260,8 @@ class Layers:
 
 @value
 class Rest:
-    """How those stand still for whom no state steers. `silent`: of each machine that steers in some state, by its name, the
-    indices of those states that steer nothing. Who is in silent states of all these machines asks for `push`."""
+    """How agents stand still that no state steers. `silent`: of each machine that steers in some state, by its name, the indices
+    of those states that steer nothing. An agent in silent states of all these machines requests `push`."""
 
     silent: dict[str, tuple[int, ...]]
     push: Expr
@@ -283,7 +284,7 @@ class Species:
 
     @property
     def own(self) -> Mapping[str, Type]:
-        """The types of what each of the species has by name: attributes, lets and latches."""
+        """Return the types of the named values of each agent: attributes, lets and latches."""
         lines: tuple[AttributeDecl | Binding, ...] = (*self.attributes, *self.lets, *self.latches)
         return {each.name: each.type for each in reversed(lines)}
 

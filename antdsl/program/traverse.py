@@ -1,4 +1,4 @@
-"""Everything inside a typed expression, or inside a tree as written, each part once and without recursion."""
+"""Walks typed expressions or syntax trees: each part once, without recursion."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ _LEAVES = frozenset((Span, str, int, float, bool, type(None), Type, Rate, Dim))
 
 
 def _inner(kind: type) -> tuple[str, ...]:
-    """Names of the fields to look into; none for what is no part of a program."""
+    """Return the names of the fields to descend into; empty for types outside programs."""
     if not is_dataclass(kind) or issubclass(kind, (Span, nodes.File)):
         return ()
     return tuple(field.name for field in reversed(fields(kind)))
@@ -80,7 +80,7 @@ def names_in(root: object) -> Iterator[nodes.Name]:
 
 
 def inside(expr: model.Expr) -> Iterator[object]:
-    """Every expression and binding that an expression is made of, itself first, each once."""
+    """Yield every expression and binding inside an expression, each once, the expression itself first."""
     stack: list[object] = [expr]
     seen: set[int] = set()
     while stack:

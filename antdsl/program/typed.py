@@ -60,12 +60,12 @@ class ParamRef(Expr):
 
 @value
 class Attribute(Expr):
-    """An attribute of the agent itself (`of` None), or of the agent, item, hit or set element that `of` gives.
+    """An attribute of the agent itself (`of` None), or of the agent, item, hit or set element in `of`.
 
-    Given names are attributes too: position velocity heading up speed id age group size mass radius clearance max_speed
-    max_force max_turn response, items' position and radius, a hit's distance, normal and position.
-    A machine's: `MACHINE.state`, `MACHINE.previous`, `MACHINE.next`, `MACHINE.time_in_state`, always with the machine.
-    `likes[n]`, the agent's own value about another, has that other as `of`; its declaration says `each`."""
+    Built-in names are attributes too: position velocity heading up speed id age group size mass radius clearance max_speed
+    max_force max_turn response; items' position and radius; a hit's distance, normal and position. A machine has `MACHINE.state`,
+    `MACHINE.previous`, `MACHINE.next` and `MACHINE.time_in_state`, always with the machine. `likes[n]`, the agent's own value
+    about another, has that other as `of`; its declaration uses `each`."""
 
     of: Expr | None
     name: str
@@ -97,7 +97,7 @@ class Local(Expr):
 
 @value
 class Thing(Expr):
-    """A thing of the world or a species as an argument: its name; its kind says what it is. `self` (AGENT) is the agent."""
+    """A thing of the world or a species as an argument: its name, and the kind of thing. `self` (AGENT) is the agent."""
 
     name: str
 

@@ -58,7 +58,7 @@ def _answer(request: Any) -> tuple[dict[str, Any], dict[str, Any], bool]:
         return {"refusal": why.as_document()}, {}, False
     except MemoryError:
         return {"failure": "memory"}, {}, True
-    except Exception as problem:  # a library's own exception, whose text may be of any kind
+    except Exception as problem:  # a library's own exception; its text may be of any kind
         return {"failure": "exception", "name": type(problem).__name__[:80]}, {}, False
     return {"answer": document}, arrays, False
 

@@ -1,6 +1,6 @@
 """The one reader of this process: started on demand, reused for each request, replaced when it dies, hangs or takes too much.
 
-`ask` is safe from any thread; a process that was forked from this one starts a reader of its own."""
+`ask` is safe from any thread; a process that was forked from this one starts its own reader."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ class _Process:
         self._seconds = 0.0
 
     def greeted(self) -> dict[str, int]:
-        """Which layers confine it, as it said at its start."""
+        """Return the layers that confine it, from its start message."""
         if self.active is None:
             said = read_message(self.answers, 0).document.get("active")
             names = ("rlimits", "landlock", "seccomp")
@@ -73,7 +73,8 @@ class _Process:
         return self.active
 
     def new_seconds(self, reported: object = None) -> float:
-        """Seconds of CPU that it has taken since the last call. Those that it `reported` count where the system does not tell."""
+        """Return the CPU seconds used since the last call. The `reported` seconds are used if the system does not provide the
+        time."""
         total = self._seconds
         try:
             total = time.clock_gettime(~self.process.pid << 3 | 2)  # Linux: the number of the clock of a process
@@ -83,7 +84,7 @@ class _Process:
         return self._add(total)
 
     def end(self) -> tuple[int, float]:
-        """Kill it; its exit status, and what `new_seconds` would be."""
+        """Kill it; return its exit status and the value of `new_seconds`."""
         self.kill()
         for pipe in (self.requests, self.answers):
             with suppress(OSError):
@@ -95,7 +96,8 @@ class _Process:
         return self.process.wait(), 0.0
 
     def kill(self) -> None:
-        """Kill it. A child that is dead already stays, unlike with the method of Popen: its end says how much time it took."""
+        """Kill it. A child that has already died is not reaped, unlike with the method of Popen: its end says how much time it
+        took."""
         if self.process.returncode is None:
             with suppress(OSError):
                 os.kill(self.process.pid, getattr(signal, "SIGKILL", signal.SIGTERM))
@@ -134,7 +136,7 @@ class Reader:
             self._seconds, self._allowed = 0.0, float(limits.READER_SECONDS_A_SCENE)
 
     def folder(self) -> Path:
-        """A new folder whose files the child may open; OSError."""
+        """Return a new folder with files that the child may open. Raises OSError."""
         with self._lock:
             return self._private().new()
 
@@ -177,7 +179,7 @@ class Reader:
                 raise
 
     def _refuse(self, digest: str, files: str) -> None:
-        """ReaderFailure for a request that failed before, and for each one where the scene has taken all time that it may."""
+        """Raise ReaderFailure for a request that failed before, and for every request once the scene has used its CPU time."""
         for failures, key in ((self._failures, digest), (self._heavy, files)):
             if key and key in failures:
                 raise ReaderFailure(*failures[key])
@@ -216,7 +218,7 @@ class Reader:
         return self._judged(answer, memory)
 
     def _count(self, seconds: float) -> None:
-        """Take processor time of the child from what this scene may use, and from the budget of the check."""
+        """Add CPU time of the child to that of this scene, and charge it to the budget of the check."""
         self._seconds += seconds
         cpu_budget.charge(seconds)
 
@@ -258,7 +260,7 @@ class Reader:
         return self._folder
 
     def _end(self, *, is_counted: bool = True) -> int:
-        """End the child, and count what it took; its exit status."""
+        """End the child and count its CPU time; return its exit status."""
         running, self._running = self._running, None
         status, seconds = (0, 0.0) if running is None else running.end()
         if is_counted:
@@ -274,7 +276,7 @@ class Reader:
             self._folder = None
 
     def forget(self) -> None:
-        """In a process that was forked: leave the child to its owner."""
+        """After a fork: leave the child to its owner."""
         if self._running is not None:
             self._running.forget()
 
@@ -288,7 +290,7 @@ _SENSELESS = "cannot be read: the process that reads it gave an answer that make
 
 @contextmanager
 def _deadline(running: _Process, seconds: float, late: threading.Event | None = None) -> Iterator[None]:
-    """Kill a child that is not done after so many seconds by the clock; `late` is set then."""
+    """Kill a child that has not finished after `seconds` of wall-clock time, and set `late`."""
 
     def stop() -> None:
         if late is not None:
@@ -305,8 +307,8 @@ def _deadline(running: _Process, seconds: float, late: threading.Event | None = 
 
 
 def _death(running: _Process, status: int, is_late: bool, memory: int) -> ReaderFailure:
-    """Why a child ended without an answer to a request that may take so much memory. Raises MemoryError where this process may
-    not give it as much."""
+    """Return why a child ended without an answer to a request that may use `memory` bytes. Raises MemoryError if this process
+    cannot grant that much."""
     if is_late or status == _OVERDUE:
         words = "cannot be read: it takes too long to be read"
         return ReaderFailure(words, _LIGHTER, is_lasting=not is_late, is_heavy=True)
@@ -320,8 +322,8 @@ def _death(running: _Process, status: int, is_late: bool, memory: int) -> Reader
 
 
 def _no_memory(needed: int) -> ReaderFailure:
-    """The failure of a request for want of memory; raises MemoryError where the limit of this process is the cause, not that of
-    the request."""
+    """Return the failure of a request that ran out of memory. Raises MemoryError if the limit of this process is the cause, not
+    that of the request."""
     if address_space() < needed:
         raise MemoryError("the process that reads foreign files has no memory")
     return ReaderFailure("cannot be read: it takes too much memory", _LIGHTER, is_heavy=True)
@@ -341,19 +343,20 @@ def ask(
     digest: str = "",
     files: str = "",
 ) -> Message:
-    """The answer to a request of READERS.
+    """Return the answer to a request of READERS.
 
-    `size`: bytes of the files that it is about, which give it more time and memory. `seconds`: CPU time that it may take in
-    addition. `digest`: a hash of all that the answer depends on; a request that failed is not made again. `files`: a hash of the
-    files alone; after a request took too much time or memory, all others about them fail until the next scene.
+    `size`: bytes of its files, which allow it more time and memory. `seconds`: additional CPU time. `digest`: a hash of
+    everything that the answer depends on; a request that failed is not repeated. `files`: a hash of the files alone. After a
+    request took too much time or memory, all others about the same files fail until the next scene.
 
-    Refusal where the child says why it does not read something, ReaderFailure where it gives no answer, MemoryError where this
-    process may not give it enough, CpuBudgetSpent where the budget of a check is spent. No answer is trusted."""
+    Raises Refusal if the child reports why it does not read something, and ReaderFailure if it gives no answer. Raises
+    MemoryError if this process cannot grant enough, and CpuBudgetSpent if the budget of a check is spent. No answer is
+    trusted."""
     return _reader.ask(kind, document, arrays or {}, size=size, seconds=seconds, digest=digest, files=files)
 
 
 def begin_scene() -> None:
-    """What is requested from here on is for another scene, which has the whole of `limits.READER_SECONDS_A_SCENE`."""
+    """Start a new scene: later requests belong to it, with the full `limits.READER_SECONDS_A_SCENE`."""
     _reader.begin_scene()
 
 
@@ -369,7 +372,7 @@ def new_folder() -> Path:
 
 
 def active_layers() -> dict[str, int]:
-    """What confines the reader on this system; ReaderFailure where it cannot be started."""
+    """Return the layers that confine the reader on this system; ReaderFailure if it cannot be started."""
     return _reader.active()
 
 

@@ -1,4 +1,4 @@
-"""What the reader's process gets from this one: its modules' folders, the folders that it may read, and its environment."""
+"""The inputs of the reader's process: module folders, readable folders, and environment."""
 
 from __future__ import annotations
 

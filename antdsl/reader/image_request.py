@@ -13,12 +13,12 @@ from numpy.typing import NDArray
 from antdsl.reader import client
 from antdsl.reader.protocol import Message, ProtocolError, Refusal
 
-# Modes of Pillow that can be requested: type of a sample, channels (0: one, without an axis of its own).
+# Modes of Pillow that can be requested: type of a sample, channels (0: one, without a separate axis).
 MODES = {"F": ("f4", 0), "I;16": ("u2", 0), "I;16L": ("u2", 0), "I;16B": ("u2", 0), "I;16N": ("u2", 0), "RGB": ("u1", 3)}
 
 
 class ImageError(Exception):
-    """Why a file is no usable image, in words that fit after its name; `help` says what to do."""
+    """Why a file is not a usable image, worded to follow its name; `help` says what to do."""
 
     def __init__(self, message: str, help: str | None = None) -> None:
         super().__init__(message)
@@ -27,8 +27,8 @@ class ImageError(Exception):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ImageFile:
-    """What is in an image file. `samples` (rows, columns) or (rows, columns, channels), None where the image has several pages,
-    more pixels than requested or another mode. `texts` are those of a PNG file by name."""
+    """The content of an image file. `samples` is (rows, columns) or (rows, columns, channels). It is None if the image has
+    several pages, more pixels than requested or another mode. `texts` are those of a PNG file by name."""
 
     mode: str
     rows: int
@@ -39,8 +39,8 @@ class ImageFile:
 
 
 def read_image_file(data: bytes, format: str, modes: Collection[str], pixels: int) -> ImageFile:
-    """The image in a file's bytes. `format`: Pillow's name of it, such as `PNG`; `modes`: keys of MODES. ImageError says why
-    there is none."""
+    """Return the image in a file's bytes. `format`: Pillow's name of it, such as `PNG`; `modes`: keys of MODES. Raises ImageError
+    with the reason if there is none."""
     said = {"format": format, "modes": [mode for mode in modes if mode in MODES], "pixels": pixels}
     digest = blake2b(repr(sorted(said.items())).encode() + data, digest_size=16).hexdigest()
     try:

@@ -1,4 +1,4 @@
-"""Images in the reader: Pillow decodes them there, and never in the process that asks."""
+"""Images in the reader: Pillow decodes them there, never in the requesting process."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ _CHARACTERS = 1000
 
 
 def read_image(request: Message) -> tuple[dict[str, Any], Mapping[str, NDArray[Any]]]:
-    """An image whose file is the array `data`: its `mode`, `columns`, `rows`, number of `pages` and `texts`, and the array
-    `samples` (rows, columns) or (rows, columns, channels). `format` is Pillow's name of the format. Without samples where the
-    image has several pages, more than `pixels`, or a mode that is not one of `modes`."""
+    """Return an image from the file in the array `data`: its `mode`, `columns`, `rows`, number of `pages` and `texts`, and the
+    array `samples` (rows, columns) or (rows, columns, channels). `format` is Pillow's name of the format. There are no samples if
+    the image has several pages, more than `pixels`, or a mode that is not one of `modes`."""
     from PIL import Image
 
     said = request.document
@@ -43,7 +43,7 @@ def read_image(request: Message) -> tuple[dict[str, Any], Mapping[str, NDArray[A
 
 
 def _require_all_parts(image: Any) -> None:
-    """Refuse a file whose strips or tiles do not cover the image: Pillow leaves the rest black."""
+    """Reject a file with strips or tiles that do not cover the image: Pillow leaves the rest black."""
     boxes = [part[1] for part in image.tile]
     if boxes and all(boxes):
         covered = sum((right - left) * (bottom - top) for left, top, right, bottom in boxes)

@@ -1,5 +1,5 @@
-"""The private folder of a process: files that its reader may open. It is removed at the end. The next process removes that of a
-killed one."""
+"""The private folder of a process: files that its reader may open. It is removed when the process ends. If the process was
+killed, the next one removes it."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ class PrivateFolder:
 
 
 def remove_stale() -> None:
-    """Remove the folders of processes of this user that are no more."""
+    """Remove the folders of this user's processes that have ended."""
     with suppress(OSError):
         for entry in os.scandir(tempfile.gettempdir()):
             if entry.name.startswith(_PREFIX) and entry.is_dir(follow_symlinks=False):

@@ -46,7 +46,8 @@ class Message:
     arrays: dict[str, NDArray[Any]] = field(default_factory=dict)
 
     def array(self, name: str, dtype: str, *shape: int | None) -> NDArray[Any]:
-        """An array of exactly this type and shape, None being any length. ProtocolError for any other, or none."""
+        """Return an array of exactly this type and shape; None means any length. Raises ProtocolError if it is missing or
+        differs."""
         found = self.arrays.get(name)
         if found is None or found.dtype != np.dtype(dtype) or found.ndim != len(shape):
             raise ProtocolError(f"`{name}` is not an array of the requested type")
@@ -55,7 +56,7 @@ class Message:
         return found
 
     def indices(self, name: str, dtype: str, count: int, *shape: int | None, lowest: int = 0) -> NDArray[Any]:
-        """As `array`, with every number from `lowest` to below `count`."""
+        """Like `array`, with every number at least `lowest` and below `count`."""
         found = self.array(name, dtype, *shape)
         if found.size and (found.min() < lowest or found.max() >= count):
             raise ProtocolError(f"`{name}` has an index that is out of range")
@@ -119,7 +120,7 @@ def write_message(file: IO[bytes], document: Mapping[str, Any], arrays: Arrays) 
 
 
 def read_message(file: IO[bytes], most: int) -> Message:
-    """The next message, whose arrays have at most `most` bytes together. ProtocolError for anything else."""
+    """Return the next message; its arrays have at most `most` bytes together. Raises ProtocolError for anything else."""
     magic, length = _PREFIX.unpack(_read(file, _PREFIX.size).tobytes())
     if magic != MAGIC or length > limits.READER_HEADER_BYTES:
         raise ProtocolError("a message begins with other bytes")
@@ -152,7 +153,7 @@ def _entry(entry: object) -> tuple[str, str, tuple[int, ...], int]:
 
 
 def _read(file: IO[bytes], size: int) -> NDArray[np.uint8]:
-    """Exactly so many bytes. Memory grows with what arrives, not with what was announced."""
+    """Read exactly `size` bytes. Memory grows with the bytes that arrive, not with the announced size."""
     found = np.empty(min(size, _BLOCK), np.uint8)
     filled = 0
     while filled < size:
@@ -170,8 +171,9 @@ def _refuse_constant(word: str) -> NoReturn:
 
 
 class Refusal(Exception):
-    """`code` is a diagnostic's code, the text its message, `help` what to do instead, `key` the key of the scene it is about.
-    `about`: what the message speaks of, "" for the whole file, or a word on which the requester and the function agree."""
+    """The reader's reason for not reading something. `code` is a diagnostic's code, the text its message, `help` what to do
+    instead, `key` the key of the scene concerned. `about`: the subject of the message, "" for the whole file, or a word on which
+    the requester and the function agree."""
 
     def __init__(self, code: str, message: str, help: str | None = None, key: str = "", about: str = "") -> None:
         super().__init__(message)
@@ -183,7 +185,7 @@ class Refusal(Exception):
 
     @classmethod
     def of_document(cls, document: Any, codes: Any) -> Refusal | None:
-        """The refusal that a process sent; None where it is none, or its code is not one of `codes`."""
+        """Return the refusal that a process sent; None if it is not one, or its code is not in `codes`."""
         if not isinstance(document, dict):
             return None
         texts = {name: document.get(name) for name in ("code", "message", "key", "about")}
@@ -199,6 +201,6 @@ class Refusal(Exception):
 
 
 def shown(text: str) -> str:
-    """A text of the process as it can stand in a message: printable, and not too long."""
+    """Return a text of the process in a form for messages: printable and not too long."""
     line = printable(text[: _CHARACTERS + 1])
     return line if len(line) <= _CHARACTERS else line[: _CHARACTERS - 1] + "…"

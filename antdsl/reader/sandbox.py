@@ -1,12 +1,12 @@
-"""Confines the process that calls `confine`, for good: limits of the system, Landlock and seccomp where Linux has them.
+"""Confines the process that calls `confine`, permanently: system limits, and on Linux Landlock and seccomp if available.
 
-It imports nothing but the standard library, so that all other code of the process is loaded after the doors are closed.
+It imports only the standard library, so that all other code is loaded after the confinement.
 
 - rlimits: CPU time, address space, open files, no core dump, no byte written to a file.
-- Landlock (ABI 1 and later): files can be opened only below the given folders, and only to read them. From ABI 4 on no TCP, from
-  ABI 6 on no signals and no abstract sockets beyond the sandbox.
-- seccomp (x86-64 and ARM64): no new process or program, no socket, no file opened to be written, no change of names, owners or
-  modes, no tracing, no signals to other processes, no `io_uring`, which would bypass the filter."""
+- Landlock (ABI 1 and later): files can be opened only below the given folders, and only for reading. From ABI 4 on no
+  TCP, from ABI 6 on no signals and no abstract sockets beyond the sandbox.
+- seccomp (x86-64 and ARM64): no new process or program, no socket, no file opened for writing, no change of names,
+  owners or modes, no tracing, no signals to other processes, no `io_uring`, which would bypass the filter."""
 
 from __future__ import annotations
 
@@ -51,7 +51,8 @@ def limit_request(seconds: int, memory: int) -> None:
 
 
 def allow_memory(more: int) -> None:
-    """Bytes of address space more for this request: for work that was counted before. Nothing in a process without a limit."""
+    """Allow `more` bytes of address space for this request, for work counted in advance. No effect in a process without a
+    limit."""
     try:
         import resource
     except ImportError:
@@ -85,7 +86,8 @@ _FILE_RIGHTS = {1: 13, 2: 14, 3: 15, 4: 15, 5: 16}  # bits that each ABI knows
 
 
 def restrict_files(folders: Sequence[str]) -> int:
-    """Open files only below these folders (or these files), and only to read them. The ABI in use, 0 where there is none."""
+    """Allow files to be opened only below these folders (or these files), and only for reading. Return the ABI in use, 0 if there
+    is none."""
     libc = _libc()
     if libc is None or sys.platform != "linux":
         return 0
@@ -145,7 +147,7 @@ _REFUSED: dict[str, tuple[int | None, int | None]] = {
     "setgroups": (116, 159), "shmget": (29, 194), "shmat": (30, 196), "msgget": (68, 186), "semget": (64, 190),
     "mq_open": (240, 180), "memfd_create": (319, 279), "inotify_init1": (294, 26), "fanotify_init": (300, 262),
 }  # fmt: skip
-# Calls whose arguments decide: opening a file, making a thread, limits of a process, a signal to a thread, control of a terminal.
+# Calls decided by arguments: opening a file, making a thread, limits of a process, a signal to a thread, control of a terminal.
 _OPEN, _OPENAT, _OPENAT2 = (2, None), (257, 56), (437, 437)
 _CLONE, _CLONE3, _PRLIMIT, _TGKILL, _IOCTL = (56, 220), (435, 435), (302, 261), (234, 131), (16, 29)
 _MACHINES = {"x86_64": (0, 0xC000003E), "aarch64": (1, 0xC00000B7)}
@@ -159,7 +161,7 @@ Instruction = tuple[int, int, int, int]
 
 
 def refuse_calls() -> bool:
-    """Install the filter for this process; False where there is none."""
+    """Install the seccomp filter for this process; return False if there is none."""
     libc = _libc()
     if libc is None or sys.platform != "linux" or os.uname().machine not in _MACHINES or sys.maxsize < 1 << 32:
         return False
@@ -194,12 +196,12 @@ def _program(which: int, architecture: int, process: int) -> list[Instruction]:
 
 
 def _where(number: int | None, then: list[Instruction]) -> list[Instruction]:
-    """Instructions for one call; the number of the call is loaded, and stays so for the next test."""
+    """Return the instructions for one system call. The call's number stays loaded for the next test."""
     return [] if number is None else [(_EQUAL, 0, len(then), number), *then]
 
 
 def _argument(number: int) -> int:
-    """Where the lower half of an argument is in what a filter sees."""
+    """Return the offset of the lower half of an argument in the filter's input."""
     return 16 + 8 * number
 
 
@@ -214,5 +216,6 @@ def _libc() -> ctypes.CDLL | None:
 
 
 def confine(readable: Sequence[str]) -> dict[str, int]:
-    """Close all doors but reading below these folders. Which layers are active: `rlimits`, `landlock` (its ABI), `seccomp`."""
+    """Confine the process to reading below these folders. Return the active layers: `rlimits`, `landlock` (its ABI),
+    `seccomp`."""
     return {"rlimits": int(limit_resources()), "landlock": restrict_files(readable), "seccomp": int(refuse_calls())}

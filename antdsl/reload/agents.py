@@ -1,4 +1,4 @@
-"""Agents of a running world into one of an edited program: what has the same name and means the same is theirs still."""
+"""Moves agents of a running world to one of an edited program. They keep all values with the same name and meaning."""
 
 from __future__ import annotations
 
@@ -29,14 +29,14 @@ _ALWAYS = frozenset(f"{name}.{axis}" for name in ("position", "velocity", "headi
 
 @dataclass(slots=True)
 class MigratedSpecies:
-    """What became of the agents of one species. Names are attributes, or states as `machine.state`."""
+    """The result for the agents of one species. Names are attributes, or states as `machine.state`."""
 
     species: str
     agents: int = 0
     moved: int = 0
-    begun: dict[tuple[str, str], int] = field(default_factory=dict)  # (state that is no more, start state) -> agents
+    begun: dict[tuple[str, str], int] = field(default_factory=dict)  # (removed state, start state) -> agents
     states: list[str] = field(default_factory=list)  # new ones
-    lost: list[str] = field(default_factory=list)  # states that are no more, and that nobody was in
+    lost: list[str] = field(default_factory=list)  # removed states that no agents were in
     new: list[str] = field(default_factory=list)
     other: list[str] = field(default_factory=list)  # of another type now
     rewritten: list[str] = field(default_factory=list)  # set at birth alone, and set otherwise now
@@ -45,8 +45,8 @@ class MigratedSpecies:
 
 
 def migrate_agents(old: World, world: World, name: str, rows: Rows) -> tuple[MigratedSpecies, dict[str, NDArray[Any]]]:
-    """Put the agents in some rows of a species into a world that has none of it, with all that they keep: what became of them,
-    and the registers that are theirs still. `complete` fills the others, once all species are there."""
+    """Move the agents in some rows of a species into a world that has none of it. Return the result and the registers that they
+    keep. `complete` fills the other registers once all species exist."""
     before, after = old.populations[name], world.populations[name]
     migrated = MigratedSpecies(name, len(rows))
     footing, place, moved = stand(old, world, before)
@@ -68,8 +68,8 @@ def migrate_agents(old: World, world: World, name: str, rows: Rows) -> tuple[Mig
 
 
 def complete(world: World, name: str, values: dict[str, NDArray[Any]]) -> None:
-    """Fill the registers of a species that are not among `values` as those of an agent that is born here and now; nothing else
-    that is asked for at birth happens."""
+    """Fill the registers of a species that are not among `values` as those of an agent that is born here and now. Other requests
+    at birth have no effect."""
     population = world.populations[name]
     lasting = (register for register, each in population.plan.registers.items() if each.role != "temp")
     if not len(population) or all(register in values for register in lasting):
@@ -94,7 +94,7 @@ def _put(population: Population, values: dict[str, NDArray[Any]]) -> None:
 
 
 def _same(old: World, world: World, before: ir.SpeciesPlan, after: ir.SpeciesPlan, migrated: MigratedSpecies) -> list[str]:
-    """Registers whose values go on, by name; what is told of the others goes into `migrated`."""
+    """Return the registers with values that continue, by name; findings about the others go into `migrated`."""
     found = [
         name
         for name, register in after.registers.items()
@@ -126,13 +126,14 @@ def _means(register: ir.Register) -> tuple[object, ...]:
 
 
 def _whole(memory: str, after: ir.SpeciesPlan, found: list[str]) -> bool:
-    """Whether the values that a `keep`'s mark stands for go on too: else it has to begin anew."""
+    """Return whether the values that a `keep`'s mark stands for continue too: else it has to begin again."""
     values = [name for name in (memory, *(f"{memory}.{axis}" for axis in "xyz")) if name in after.registers]
     return all(name in found for name in values)
 
 
 def _rewritten(old: World, world: World, before: ir.SpeciesPlan, after: ir.SpeciesPlan) -> set[str]:
-    """Attributes that nothing but birth ever sets, before and now, and that birth sets otherwise now: these follow the text."""
+    """Return the attributes that are set only at birth, before and now, and have another birth value now. These take the new
+    value."""
     one, other = birth_values(before, params_at_birth(old)), birth_values(after, params_at_birth(world))
     stored = stored_registers(before) | stored_registers(after) | _ALWAYS
     attributes = {name for name, register in after.registers.items() if register.role == "attribute"}
@@ -141,7 +142,7 @@ def _rewritten(old: World, world: World, before: ir.SpeciesPlan, after: ir.Speci
 
 
 def _given(setting: Setting, species: str, attribute: str) -> list[str]:
-    """Digests of what places of the scene give to those who begin there, line by line."""
+    """Return digests of the attribute's values at the start places of the scene, line by line."""
     return [digest(crowd.place.values.get(attribute)) for crowd in setting.crowds if crowd.species == species]
 
 
@@ -156,7 +157,7 @@ def _note(names: list[str], register: str) -> None:
 
 
 def _states(before: ir.SpeciesPlan, after: ir.SpeciesPlan, values: dict[str, NDArray[Any]], migrated: MigratedSpecies) -> None:
-    """Numbers of states into those that these states have now, by name; agents in one that is no more begin anew."""
+    """Convert numbers of states into the current ones, by name; agents in a removed state start again."""
     machines = {machine.name: machine for machine in before.machines}
     for machine in after.machines:
         known = machines.get(machine.name)
@@ -181,7 +182,7 @@ def _states(before: ir.SpeciesPlan, after: ir.SpeciesPlan, values: dict[str, NDA
 
 
 def _clips(before: ir.SpeciesPlan, after: ir.SpeciesPlan, values: dict[str, NDArray[Any]]) -> None:
-    """Numbers of clips into those that these clips have now; where one is played no more, none is."""
+    """Renumber clips to their current numbers; a clip that is no longer played becomes none."""
     number = np.array([after.clips.index(clip) if clip in after.clips else -1 for clip in before.clips] + [-1])
     for machine in after.machines:
         for register in (f"{machine.name}.{part}" for part in ("clip", "clip_before", "clip_earlier")):
@@ -190,8 +191,8 @@ def _clips(before: ir.SpeciesPlan, after: ir.SpeciesPlan, values: dict[str, NDAr
 
 
 def _pairs(before: Population, world: World, after: ir.SpeciesPlan, rows: Rows, values: dict[str, NDArray[Any]]) -> None:
-    """Values per pair of which fewer are kept by now: of each agent the strongest, those farthest from what they begin with and
-    return to in the edited program, the lesser id first."""
+    """Reduce values per pair if fewer are stored now: of each agent the strongest remain. Those are farthest from the value that
+    they begin with and return to in the edited program, the lesser id first."""
     old = pair_values(before.plan.registers)
     for name, slots in pair_values(after.registers).items():
         if len(slots) >= len(old.get(name, ())) or slots[0][0] not in values:
@@ -211,7 +212,7 @@ def _renumbered(before: ir.MachinePlan, after: ir.MachinePlan) -> NDArray[np.int
 
 
 def _items(old: World, world: World, after: ir.SpeciesPlan, values: dict[str, NDArray[Any]]) -> None:
-    """Items that registers hold, by the items' names; none for those that are no more."""
+    """Renumber items in registers by the items' names; removed items become none."""
     for name, register in after.registers.items():
         if name in values and register.holds and register.holds[0] == "item":
             of = str(register.holds[-1])
@@ -221,15 +222,15 @@ def _items(old: World, world: World, after: ir.SpeciesPlan, values: dict[str, ND
 
 
 def birth_values(plan: ir.SpeciesPlan, params: Mapping[str, float]) -> dict[str, int]:
-    """By register what is stored in it at birth: a hash of the operations, through other registers that these read, and of the
-    params they use."""
+    """Return a hash of each register's value at birth, by register: of the operations, through other registers that they read,
+    and of the params they use."""
     found: dict[str, int] = {}
     _block(plan.born, (), found, params)
     return found
 
 
 def params_at_birth(world: World) -> dict[str, float]:
-    """The params as the scene and the program say them, whatever was set since."""
+    """Return the params as the scene and the program set them, without later changes."""
     given = world.setting.params
     return {name: given[name] if name in given else run_value(world, p.default) for name, p in world.plan.params.items()}
 

@@ -16,16 +16,16 @@ TOLD = 0.05  # mm: less is the rounding of the nearest place, and not worth a wo
 
 
 def same_solid(old: World, world: World, name: str) -> bool:
-    """Whether a solid is made of the same mesh and voxels in both worlds, so that what was dug out of it means the same."""
+    """Return whether a solid has the same mesh and voxels in both worlds, so that its digging can be transferred."""
     one, other = old.setting.solids.get(name), world.setting.solids.get(name)
     return one is not None and other is not None and digest(one) == digest(other)
 
 
 def stand(old: World, world: World, before: Population) -> tuple[Footing, NDArray[np.float64], NDArray[np.bool_]]:
-    """Footings in `world` for all agents of a population of `old`, their places (n, 3), and who is somewhere else than before.
+    """Return footings in `world` for all agents of a population of `old`, their positions (n, 3), and which agents moved.
 
-    A mesh of which only the vertices moved carries agents along; who stood on other faces, or on a solid that is another now,
-    comes to the nearest place of all ground."""
+    A mesh of which only the vertices moved carries agents along. Agents on other faces, or on a solid that is another now, move
+    to the nearest position of all ground."""
     footing = _footing(old, world, before)
     place = world.ground.position(footing)
     moved = length(place - before.position) > _HAIR
@@ -33,7 +33,7 @@ def stand(old: World, world: World, before: Population) -> tuple[Footing, NDArra
 
 
 def turn(world: World, population: Population, moved: NDArray[np.bool_]) -> None:
-    """Lay up, heading and velocity of those who were moved along the ground they stand on now."""
+    """Turn up, heading and velocity of moved agents along their new ground."""
     rows = np.flatnonzero(moved)
     if not len(rows):
         return

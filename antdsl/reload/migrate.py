@@ -1,7 +1,7 @@
-"""An edited program goes on from where the old one stands: a new world with the agents, amounts, scents and dug solids of a
-running one. What has the same name and means the same goes on, what was edited takes its new value, the rest begins anew.
+"""An edited program continues from the state of the old one: a new world with the agents, amounts, scents and dug solids of a
+running one. What has the same name and means the same continues, what was edited takes its new value, the rest starts again.
 
-The old world is read and never changed, so on any error it runs on as if nobody had asked."""
+The old world is read and never changed, so on any error it continues unchanged."""
 
 from __future__ import annotations
 
@@ -28,12 +28,13 @@ from antdsl.scene.setting import CrowdData, Setting
 
 @dataclass(slots=True)
 class Migration:
-    """What became of a world. `joined` and `removed` count agents that the scene's crowd has more or fewer of, by species."""
+    """The result of a migration. `joined` and `removed` count the agents by which the scene's crowd grew or shrank, by
+    species."""
 
     species: list[MigratedSpecies] = field(default_factory=list)
     joined: dict[str, int] = field(default_factory=dict)
     removed: dict[str, int] = field(default_factory=dict)
-    items: list[str] = field(default_factory=list)  # begun anew, or new
+    items: list[str] = field(default_factory=list)  # restarted, or new
     fields: list[str] = field(default_factory=list)
     solids: list[str] = field(default_factory=list)
 
@@ -44,9 +45,10 @@ class Migration:
 
 @standard()
 def take_over(old: World, plan: ir.Plan, setting: Setting, built: Built | None = None) -> tuple[World, Migration]:
-    """The world of an edited plan and setting at the frame of a running one. BindError as in `bind`.
+    """Return the world of an edited plan and setting at the frame of a running one, and the migration. Raises BindError as in
+    `bind`.
 
-    `built` is kept from one call to the next: meshes that are the same are not worked out again."""
+    `built` persists from one call to the next: equal meshes are not computed again."""
     world = unpeopled(plan, setting, old.options, built=built, origin=old.origin)
     world.frame = old.frame
     migration = Migration()
@@ -69,7 +71,7 @@ def take_over(old: World, plan: ir.Plan, setting: Setting, built: Built | None =
 
 
 def _agents(old: World, world: World, migration: Migration) -> list[tuple[CrowdData, NDArray[np.int64]]]:
-    """Take over all who stay; gives who is to join, with their ids."""
+    """Move all agents that stay; return the crowds to add, with their ids."""
     joining: list[tuple[CrowdData, NDArray[np.int64]]] = []
     values = {}
     for name in world.populations:
@@ -99,7 +101,7 @@ def _lines(setting: Setting, species: str) -> list[CrowdData]:
 
 
 def _staying(old: World, setting: Setting, name: str, migration: Migration) -> NDArray[np.intp]:
-    """Rows of a species less those that a line of the scene has fewer of by now: those who came last go."""
+    """Return the rows of a species that stay. Where a line of the scene has fewer agents now, the latest ones are removed."""
     population = old.populations[name]
     stays = np.ones(len(population), np.bool_)
     after = _lines(setting, name)
@@ -115,7 +117,7 @@ def _staying(old: World, setting: Setting, name: str, migration: Migration) -> N
 
 
 def _regroup(before: Setting, world: World, name: str, values: dict[str, NDArray[np.generic]]) -> None:
-    """The number of an agent's line in the scene, which may be another by now."""
+    """Update the number of each agent's line in the scene, which may have changed."""
     population = world.populations[name]
     group = population.now["group"].copy()
     for was, is_now in zip(_lines(before, name), _lines(world.setting, name), strict=False):
@@ -129,7 +131,7 @@ def _regroup(before: Setting, world: World, name: str, values: dict[str, NDArray
 
 
 def _items(old: World, world: World, migration: Migration) -> None:
-    """Amounts by the items' names; what the scene says otherwise now begins with that."""
+    """Transfer amounts by the items' names. Amounts that the scene changed start with the new value."""
     for name, items in world.items.items():
         known = old.items.get(name)
         rows = {} if known is None else {item: k for k, item in enumerate(known.names)}
@@ -159,7 +161,7 @@ def _solids(old: World, world: World, migration: Migration) -> None:
 
 
 def _fields(old: World, world: World, migration: Migration) -> None:
-    """Scents whose cells are the same, and which do not start with something else now."""
+    """Continue scents with equal cells that do not start with something else now."""
     for name, now in world.fields.items():
         before = old.fields.get(name)
         starts = [setting.field_start.get(name) for setting in (old.setting, world.setting)]
@@ -182,7 +184,7 @@ def _same_cells(old: World, world: World, name: str) -> bool:
 
 
 def _flows(old: World, world: World) -> None:
-    """Flows that are worked out as time goes by go on with what they have, where they are the same."""
+    """Continue flows that are computed over time with their state, where they are equal."""
     for name, flow in world.flows.items():
         state = flow.state()
         before = old.flows[name].state() if state and name in old.flows else {}
@@ -192,7 +194,7 @@ def _flows(old: World, world: World) -> None:
 
 
 def _feet(old: World, world: World) -> None:
-    """Feet stay where they stand and swing on, if bodies have the same legs and stand on the same."""
+    """Transfer footholds and swings, if bodies have the same legs and the ground is the same."""
     if old.floor is None or world.floor is None or old.floor.names != world.floor.names:
         return
     if digest((old.floor.meshes, old.setting.moves)) != digest((world.floor.meshes, world.setting.moves)):
@@ -204,7 +206,7 @@ def _feet(old: World, world: World) -> None:
 
 
 def _counts(old: World, world: World) -> None:
-    """What was counted and measured so far, and who watches."""
+    """Transfer counts, measurements and watchers."""
     world.transitions = dict(old.transitions)
     world.motion = Motion.of(old.motion.arrays())
     world.faults = FaultLog(old.faults.count, old.faults.refused_births, list(old.faults.reported))
@@ -216,7 +218,7 @@ def _counts(old: World, world: World) -> None:
 
 
 def migration_line(migration: Migration) -> str:
-    """Such as "kept 500 agents · 12 of removed state `dig` begin anew in `search` · `load` is new"."""
+    """Return the changes in one line, the number of agents first, such as "… · 12 more of `forager` · `load` is new"."""
     parts = [f"kept {migration.agents:,} {_agent_word(migration.agents)}"]
     several = len(migration.species) > 1
     for migrated in migration.species:
@@ -259,7 +261,7 @@ def _written(names: list[str]) -> list[str]:
 
 
 def _plain(state: str) -> str:
-    """Most species have one machine, which nobody named."""
+    """Return a state's name without the default machine: most species have one machine without a name."""
     return state.removeprefix("main.")
 
 

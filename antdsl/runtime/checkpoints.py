@@ -57,14 +57,15 @@ def checkpoint(world: World) -> Arrays:
 
 
 def restore(world: World, arrays: Mapping[str, NDArray[Any]]) -> None:
-    """Put a world, bound to the same plan and setting, into a state. Raises CheckpointError, and then the world is of no use."""
+    """Restore a state in a world that is bound to the same plan and setting. Raises CheckpointError; the world is then
+    unusable."""
     try:
         _restore(world, arrays)
         for population in world.populations.values():
             world.ground.position(population.footing)  # no face that is not there: compiled code would not look
     except CheckpointError:
         raise
-    except (ValueError, TypeError, IndexError, KeyError, OverflowError) as why:  # arrays that somebody else has made
+    except (ValueError, TypeError, IndexError, KeyError, OverflowError) as why:  # arrays from an outside source
         raise CheckpointError(f"it does not hold together ({type(why).__name__})") from why
 
 
@@ -110,7 +111,7 @@ def _restore(world: World, arrays: Mapping[str, NDArray[Any]]) -> None:
 
 
 def _restore_feet(world: World, arrays: Mapping[str, NDArray[Any]]) -> None:
-    """Put feet where they were. A state of a run that did not work them out has none: there all stand anew."""
+    """Restore the feet of a checkpoint. A state of a run without feet has none: there, all agents stand afresh."""
     found = {}
     for name, feet in world.feet.items():
         prefix = f"feet.{name}."

@@ -1,9 +1,9 @@
-"""Claims on items and on what fields hold, settled between decide and act, and gifts to items. What one side loses the other
-gets, to the last bit.
+"""Claims on items and field cells, settled between decide and act, and gifts to items. The losses of one side equal the gains of
+the other, to the last bit.
 
-An agent's own register is float32, an item's amount and a field's cell float64: these change by exactly the difference that the
-register made. From a field whole multiples of `UNIT` are taken, as deposits are: while registers hold such too, so do the cells.
-"""
+An agent's own register is float32; an item's amount and a field's cell are float64. These change by exactly the difference in the
+register. From a field, whole multiples of `UNIT` are taken, as with deposits: while registers hold such multiples too, so do the
+cells."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def settle(world: World) -> None:
 
 
 def _by_statement(entries: Entries) -> Entries:
-    """The claims of each statement as one entry, in whatever chunks they were asked."""
+    """Merge the claims of each statement into one entry, however they were chunked."""
     if len(entries) == 1:
         return entries
     found: dict[tuple[str, int], Entries] = {}
@@ -75,7 +75,8 @@ def _joined(arrays: list[NDArray[Any]]) -> NDArray[Any]:
 def _settle_one(
     world: World, rest: NDArray[np.float64], item: NDArray[np.integer], amount: NDArray[np.float32], unit: float, entries: Entries
 ) -> None:
-    """Settle the claims of `entries`, `amount` (inf: all) of the places `item` in `rest` (-1: none); of all, whole units."""
+    """Settle the claims of `entries`: `amount` (inf: all) from the places `item` of `rest` (-1: none). Claims for all get whole
+    units."""
     draw = _joined([_draws(world, p, e) for p, e in entries])
     ids = _joined([p.ids[e.rows] for p, e in entries])
     row = _joined([e.rows for _, e in entries])
@@ -104,8 +105,8 @@ def _settled(
     population: Population,
     entry: ClaimEntry,
 ) -> bool:
-    """Serve the claims of one statement by a kernel, in the order of `keys`, where each is of some amount for a register; gives
-    whether that is so, else nothing has been done."""
+    """Serve the claims of one statement with a kernel, in the order of `keys`, if each claims a fixed amount for a register.
+    Return whether it did; if not, nothing has changed."""
     asked = entry.statement
     if asked.own is None or asked.amount is None:
         return False
@@ -125,8 +126,8 @@ def _serve(
     entries: Entries,
     source: NDArray[np.intp] | None,
 ) -> None:
-    """Serve the claims `now`, of different agents, in the order of `keys`, of which the last counts first, the item; `source`
-    says of which entry each is (None: there is but one)."""
+    """Serve the claims `now`, of different agents, in the order of `keys`. The last key, the item, is the primary one. `source`
+    is the entry of each claim (None: there is only one)."""
     now = now[np.lexsort([key[now] for key in keys])]
     item, row, amount = keys[-1][now], row[now], amount[now]
     asks = _Asks(np.empty(len(now)), np.isinf(amount), np.zeros(len(now), np.float32), np.zeros(len(now), np.bool_), unit)
@@ -145,7 +146,7 @@ def _serve(
 def _receive(
     population: Population, entry: ClaimEntry, rows: NDArray[np.intp], amount: NDArray[np.float32], got: NDArray[np.float64]
 ) -> None:
-    """Add what was won to the agents' own registers; `got` is what that adds in full."""
+    """Add the amounts won to the agents' own registers; `got` is the exact amount that each adds."""
     assert entry.statement.own is not None
     own = population.now[entry.statement.own]
     if entry.statement.amount is not None:
@@ -157,8 +158,9 @@ def _receive(
 
 
 class _Asks:
-    """Claims in the order in which they are served: what winning would add to the agents' own registers in full (`change`,
-    float64; without a register the amount), who asks for `everything`, and what they have (`had`) if a register keeps it."""
+    """Claims in the order in which they are served. `change` (float64) is the exact amount that winning would add to the agents'
+    own registers, or the amount if there is no register. `everything` marks claims for all. `had` is the current value, if a
+    register holds it."""
 
     def __init__(
         self,
@@ -183,7 +185,7 @@ class _Asks:
         self.had[at], self.kept[at] = had, True
 
     def all_of(self, at: NDArray[np.intp], left: NDArray[np.float64]) -> NDArray[np.float64]:
-        """What those at some places get of all that is `left`: whole units, and no more than their register can show."""
+        """Return what claims for all get of the amount `left`: whole units, and no more than their register can represent."""
         had = self.had[at].astype(np.float64)
         with np.errstate(all="ignore"):
             whole = np.floor(left / self.unit) * self.unit if self.unit else left
@@ -210,7 +212,7 @@ def _turn(species: NDArray[np.int64], ids: NDArray[np.int64], place: NDArray[np.
 
 
 def _served(rest: NDArray[np.float64], places: NDArray[np.integer], asks: _Asks) -> NDArray[np.float64]:
-    """What each gets, -1 for who is not served; `places` are sorted. Takes what they get from the rest."""
+    """Return the amount that each claim gets, -1 if it is not served; `places` are sorted. Subtracts the amounts from `rest`."""
     item: NDArray[np.int64] = places.astype(np.int64, copy=False)
     got = np.full(len(item), -1.0)
     if not asks.everything.any():
@@ -235,7 +237,7 @@ def _served(rest: NDArray[np.float64], places: NDArray[np.integer], asks: _Asks)
 
 
 def _among(rest: NDArray[np.float64], item: NDArray[np.int64], begin: int, asks: _Asks, got: NDArray[np.float64]) -> None:
-    """Serve those from `begin` on, who ask for the same thing, some for all of it, in their order until the rest does not
+    """Serve the claims from `begin` on, for one item, some of them for all of it, in order until the remainder does not
     suffice."""
     first, change = 0, asks.change[begin : begin + len(item)]
     for stop in (*np.flatnonzero(asks.everything[begin : begin + len(item)]).tolist(), len(item)):
@@ -251,7 +253,8 @@ def _among(rest: NDArray[np.float64], item: NDArray[np.int64], begin: int, asks:
 
 
 def give(world: World) -> None:
-    """Add what agents gave to the items, the least first: so that the agents' order is nothing where a sum is rounded."""
+    """Add the agents' gifts to the items, the smallest first, so that rounding of the sum does not depend on the agents'
+    order."""
     given: dict[tuple[str, str], list[GiveEntry]] = {}
     for population in world.populations.values():
         for entry in population.effects.gives:
@@ -265,8 +268,8 @@ def give(world: World) -> None:
 
 @kernel
 def _serve_in_turn(rest: Array1[F64], item: Array1[I64], change: Array1[F64], got: Array1[F64]) -> None:
-    """Write to `got` what each claim gets, its `change`, where there is enough for it and for those before it; `item`, ascending,
-    says of which number of `rest` each is. Takes from the rest what they get together."""
+    """Write the amount that each claim gets to `got`: its `change`, if the remainder suffices for it and all before it. `item`,
+    ascending, is the index of each in `rest`. Subtracts the total from `rest`."""
     _serve_each(rest, item, change, got, item.size)
 
 
@@ -283,10 +286,10 @@ def _settle_in_turn(
     change: Array1[F64],
     got: Array1[F64],
 ) -> BOOL:
-    """Settle the claims of one statement, of different agents, in an order by `item`: who is served has its `amount` added to its
-    `own` register and has `won`. Not where one asks for all: then nothing is settled, and it gives False.
+    """Settle the claims of one statement, of different agents, in an order by `item`. A served agent has its `amount` added to
+    its `own` register, and `won` is set. If one claims all, nothing is settled and the result is False.
 
-    `item`, `row` and `amount` [n] of each claim, `claimed`, `change` and `got` [n]: room."""
+    `item`, `row` and `amount` [n] are those of each claim; `claimed`, `change` and `got` [n] are buffers."""
     for k in range(order.size):
         if amount[k] == np.inf:
             return False

@@ -1,4 +1,4 @@
-"""What is known of the clips that a species plays: from the definition of its body, by the names that its states say."""
+"""Properties of the clips that a species plays: from the definition of its body, by the clip names in its states."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
-"""Which bodies touch as a step begins, and with whom a contact has begun: what `on collision` is told.
+"""Bodies that touch as a step begins, and contacts that have begun: the input of `on collision`.
 
-Two touch when the gap between their capsules is below a small share of the room of both, and do so until it has grown to several
-times that: who is pressed against another and shakes a little does not collide again and again."""
+Two bodies touch when the gap between their capsules falls below a small share of their combined collision radii. They touch until
+the gap is several times that share. Thus bodies that press against each other and shake a little do not collide repeatedly."""
 
 from __future__ import annotations
 
@@ -23,8 +23,9 @@ _ENDS = 0.25  # of the same: a gap above which it is over
 
 
 def contact(world: World, population: Population, of: str, rows: Rows, touched: Ids) -> tuple[Ids, Ids]:
-    """The id of the deepest agent of a species whom each of some agents has begun to touch, -1 for nobody, and the ids of all
-    that it touches from now on. `touched` (n, k): those before, -1 where there is none; where all are taken nobody is noticed."""
+    """Return the id of the deepest agent of a species that each given agent has begun to touch, -1 for none. Also return the ids
+    of all agents that it touches from now on. `touched` (n, k): the previous ones, -1 for none; if all k are in use, no new
+    contact is noticed."""
     found = np.full(len(rows), -1, np.int64)
     known = _touching(world).get((population.name, of))
     if known is None:
@@ -47,7 +48,7 @@ def contact(world: World, population: Population, of: str, rows: Rows, touched: 
 
 
 def _touching(world: World) -> Mapping[tuple[str, str], Touching]:
-    """Who touches whom as the step began, by both species; found once in a step."""
+    """Return which agents touched at the start of the step, by both species; computed once in a step."""
     if world.touching is None:
         world.touching = _found(Crowd(world, start=True))
     return world.touching

@@ -18,11 +18,11 @@ from antdsl.runtime.world import Population, World
 Floats = NDArray[np.float64]
 
 _NEAR = 0.5  # voxels: a point of a ball that lies no farther from the surface is on a wall that it left
-_FINEST = 16  # points along an edge of the cube whose sides are spread over a ball
+_FINEST = 16  # points along an edge of the cube that is projected onto a ball
 
 
 def dig(world: World) -> None:
-    """Carve the balls that were asked for, and give each agent what it dug out. Who stood there comes down as it moves."""
+    """Carve the requested balls, and give each agent what it dug out. Agents that lose their ground come down as they move."""
     asked: dict[str, list[tuple[Population, Asked]]] = {}
     for population in world.populations.values():
         for entry in population.effects.drained("carve"):
@@ -33,7 +33,7 @@ def dig(world: World) -> None:
 
 
 def _carve(world: World, solid: str, entries: list[tuple[Population, Asked]]) -> None:
-    """Carve one solid. Who digs is known by (species, id, place in the text), whatever its row."""
+    """Carve one solid. Digging agents are identified by (species, id, place in the text), independent of their row."""
     names = list(world.populations)
     species = np.concatenate([np.full(len(e.rows), names.index(p.name)) for p, e in entries])
     ids = np.concatenate([p.ids[e.rows] for p, e in entries])
@@ -57,20 +57,21 @@ def _carve(world: World, solid: str, entries: list[tuple[Population, Asked]]) ->
 
 
 def _give(population: Population, entry: Asked, removed: NDArray[np.float64]) -> None:
-    """Add what was dug out to the agents' own register."""
+    """Add the dug volume to the agents' own register."""
     if entry.request.own is not None:
         register = population.now[entry.request.own]
         register[entry.rows] = (register[entry.rows].astype(np.float64) + removed).astype(np.float32)
 
 
 def dug_since(world: World) -> dict[str, NDArray[np.float64]]:
-    """The balls float64[k, 4] (middle and radius) that were dug since this was asked last, by solid; no entry where none were."""
+    """Return the balls float64[k, 4] (centre and radius) dug since the last call, by solid. A solid without any has no entry."""
     found, world.carved = world.carved or {}, None if world.carved is None else {}
     return {name: np.concatenate(balls) for name, balls in found.items() if sum(map(len, balls))}
 
 
 def grow(fields: Iterable[PheromoneField], volume: Volume, middle: Floats, radius: Floats) -> None:
-    """Give fields on a solid cells where balls, middles [k,3] and radii [k] in mm, left walls. The order of the balls counts."""
+    """Add cells to fields on a solid where balls, centres [k,3] and radii [k] in mm, left walls. The order of the balls
+    matters."""
     by_cells: dict[int, list[PheromoneField]] = {}
     for field in fields:
         if isinstance(field.cells, GrowingCells):
@@ -86,7 +87,8 @@ def grow(fields: Iterable[PheromoneField], volume: Volume, middle: Floats, radiu
 
 
 def walls(volume: Volume, middle: Floats, radius: Floats, apart: float) -> tuple[Floats, Floats]:
-    """Points [n,3] about half of `apart` from each other on what balls left of the surface, and its unit normals into the air."""
+    """Return points [n,3], about half of `apart` from each other, on the surface that balls left, and unit normals towards the
+    air."""
     found = [(np.empty((0, 3)), np.empty((0, 3)))]
     lines = np.minimum(np.ceil(4 * radius / apart).astype(np.int64), _FINEST)
     for number in np.unique(lines):
@@ -100,7 +102,7 @@ def walls(volume: Volume, middle: Floats, radius: Floats, apart: float) -> tuple
 
 @cache
 def _ways(lines: int) -> Floats:
-    """Unit vectors [6 lines², 3] spread over a sphere: the middles of the squares of a cube's sides."""
+    """Return unit vectors [6 lines², 3] spread over a sphere: the centres of a grid of squares on the sides of a cube."""
     at = (np.arange(lines) + 0.5) / lines * 2 - 1
     u, v = (w.ravel() for w in np.meshgrid(at, at, indexing="ij"))
     sides = [np.roll(np.stack([np.full(u.size, s), u, v], axis=1), axis, axis=1) for axis in range(3) for s in (-1.0, 1.0)]

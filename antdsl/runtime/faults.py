@@ -1,7 +1,6 @@
-"""Values that are not finite: who, where in the text, from what operands; and whether the run goes on (decision 24).
+"""Values that are not finite: which agent, where in the text, from which operands, and whether the run continues (decision 24).
 
-The agent is run again, alone, by the reference backend, which knows every value on the way.
-"""
+The reference backend runs the agent again, alone, because it has every intermediate value."""
 
 from __future__ import annotations
 
@@ -23,8 +22,8 @@ _REPORTED = 20  # faults reported in full; the others are only counted
 
 @dataclass(frozen=True, slots=True)
 class Fault:
-    """One refused value, of one agent or of a whole species (`agent` -1). `operands`: text (or operation) and value of what
-    went into it; `why` follows what is refused."""
+    """One rejected value, of one agent or of a whole species (`agent` -1). `operands`: text (or operation) and value of each
+    operand. `why`: the reason, written after the name of the rejected value."""
 
     frame: int
     species: str
@@ -39,7 +38,7 @@ class Fault:
 
     @property
     def brief(self) -> str:
-        """The same with the name of the file alone, for whoever need not know where on this machine it is."""
+        """Return the same text with only the name of the file, for readers that do not need its location on this machine."""
         if self.span is None:
             return self._told("")
         line, column = self.span.source.line_column(self.span.start)
@@ -53,7 +52,7 @@ class Fault:
 
 @dataclass(slots=True)
 class FaultLog:
-    """All faults of a run: how many, of which the first are told in full."""
+    """All faults of a run: their number, and the first ones in full."""
 
     count: int = 0
     refused_births: int = 0  # beyond limits.AGENTS
@@ -62,7 +61,7 @@ class FaultLog:
 
 
 class FaultStop(RuntimeError):
-    """The run stops after the step in which something was at fault; `fault` is the first one told."""
+    """Raised after a step with a fault, to stop the run; `fault` is the first one reported."""
 
     def __init__(self, fault: Fault) -> None:
         super().__init__(str(fault))
@@ -70,11 +69,11 @@ class FaultStop(RuntimeError):
 
 
 class LimitStop(FaultStop):
-    """The run stops in the middle of a step, which would take more than the limits allow: the world is good for nothing more."""
+    """The run stops in the middle of a step that would exceed the limits. The world cannot be used afterwards."""
 
 
 def gather(world: World) -> None:
-    """Count the faults since the last time, tell the first ones, set the agents aside if so asked."""
+    """Count the faults since the last call, report the first ones, and quarantine their agents if requested."""
     log = world.faults
     for population in world.populations.values():
         if not population.effects.faults:
@@ -99,7 +98,7 @@ def gather(world: World) -> None:
 
 
 def _word(register: str) -> str:
-    """What the author calls a register: a vector without its axis, the plan's own temps by what they serve."""
+    """Return the author's name for a register: a vector without its axis, a temp of the plan by its purpose."""
     name = register.removesuffix(".x").removesuffix(".y").removesuffix(".z")
     return {"~steer": "steer", "~gaze": "face", "~face": "face", "~left": "push", "~held": "the vector"}.get(name, name)
 

@@ -1,6 +1,6 @@
-"""Items near agents: pairs of an asking row and an item, by both, each with the way there (mm, float32) and its length.
+"""Items near agents: pairs of a requesting row and an item, sorted by both, each with its offset (mm, float32) and distance.
 
-Few items are all measured from all rows; of many, those that are too far off along two axes are left out first. Both give the
+Few items are measured from all rows. With many items, those too far away along two axes are left out first. Both methods give the
 same bits."""
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ _WIDER, _TINY = 1 + 1e-5, 1e-15  # of a radius, and mm: more than float32 rounds
 
 
 def items_within(items: Items, own: tuple[Floats, ...], radius: Any) -> Columns:
-    """Items within a radius (mm, one or float[n]) of places (three float32[n])."""
+    """Return the items within a radius (mm, one or float[n]) of positions (three float32[n])."""
     reach = np.full(len(own[0]), radius, np.float32) if np.ndim(radius) == 0 else np.asarray(radius, np.float32)
     if len(items) > _MANY_ITEMS:
         return along(items, own, reach)
@@ -50,7 +50,7 @@ def each(items: Items, own: tuple[Floats, ...], reach: Floats) -> Columns:
 
 
 def along(items: Items, own: tuple[Floats, ...], reach: Floats) -> Columns:
-    """Items measured from rows from which, along the two axes that items are most spread on, they are not too far off."""
+    """Return the pairs of rows and items that are in reach along the two axes with the widest spread of items."""
     n, there = len(own[0]), _seen_at(items)
     with np.errstate(invalid="ignore"):
         one, two = sorted(range(3), key=lambda k: -float(np.nan_to_num(np.ptp(there[k]))))[:2]
@@ -91,7 +91,8 @@ def _joined(parts: list[Columns]) -> Columns:
 
 @kernel
 def _fill(items: VectorColumns, places: VectorColumns, reach: Array1[F32], pairs: Found, row: I64, used: I64) -> tuple[I64, I64]:
-    """Go on with a row, with so many pairs found before it, until the arrays are too short."""
+    """Continue with a row, after `used` pairs from earlier rows, until the arrays are full. Returns the next row and the number
+    of pairs."""
     ix, iy, iz = items
     x, y, z = places
     i, j, dx, dy, dz, distance = pairs

@@ -42,7 +42,7 @@ def find_cells(world: World, population: Population) -> None:
 
 
 def deposit(world: World) -> None:
-    """Lay what the agents deposit into their own cells; it lands when the fields step."""
+    """Add the deposits of agents to their own cells; they take effect when the fields step."""
     for population in world.populations.values():
         for entry in population.effects.drained("deposit"):
             name = entry.request.of
@@ -50,7 +50,7 @@ def deposit(world: World) -> None:
 
 
 def settle_newborn(world: World) -> None:
-    """What agents ask for at their birth happens before the next step: nothing is left over between two steps."""
+    """Apply what agents request at their birth before the next step, so that no request remains between two steps."""
     if not any([population.effects.open for population in world.populations.values()]):
         return
     raise_events(world)
@@ -64,11 +64,11 @@ def settle_newborn(world: World) -> None:
     for name in fields:
         world.fields[name].step(1.0, 0.0, world.dt)
     for population in world.populations.values():
-        population.effects.claims = []  # nobody claims at birth: there is no decision to win
+        population.effects.claims = []  # no agent claims at birth: there is no decision to win
 
 
 def raise_events(world: World) -> None:
-    """Flag those whom an event reaches; they see it in the next step."""
+    """Flag the agents that an event reaches; they see it in the next step."""
     for population in world.populations.values():
         for entry in population.effects.drained("emit"):
             event = entry.request.of
@@ -86,7 +86,7 @@ def raise_events(world: World) -> None:
 
 
 def _tell(world: World, population: Population, entry: Asked) -> None:
-    """Flag the one agent that each emitter names, where there is one and it is in reach."""
+    """Flag the agent that each emitter names, if it exists and is in reach."""
     other = world.populations.get(entry.request.whom or "")
     if other is None or not len(other) or entry.request.of not in other.raised:
         return
@@ -100,7 +100,7 @@ def _tell(world: World, population: Population, entry: Asked) -> None:
 
 
 def _reach(population: Population, entry: Asked, other: Population, flags: NDArray[np.bool_]) -> None:
-    """Agents within the distance of some emitter, where both stood when the step began; the emitter hears itself."""
+    """Flag agents within the distance of some emitter, by positions at the start of the step. The emitter itself is included."""
     within = entry.arg(0)
     own = [population.start[f"position.{axis}"][entry.rows] for axis in AXES]
     theirs = [other.start[f"position.{axis}"] for axis in AXES]
@@ -111,7 +111,7 @@ def _reach(population: Population, entry: Asked, other: Population, flags: NDArr
 
 
 def deaths_and_births(world: World) -> None:
-    """Take the dead out, then put the new ones in: ids by (parent's species, parent's id, place in the text)."""
+    """Remove the dead, then add the newborn, with ids in order of (parent's species, parent's id, place in the text)."""
     coming, bereft = _coming(world), False
     for population in world.populations.values():
         if dying := population.effects.drained("die"):
@@ -134,7 +134,8 @@ Births = list[tuple[Population, NDArray[np.intp], NDArray[np.float64], Footing, 
 
 
 def _coming(world: World) -> dict[str, Births]:
-    """Births asked for, by species of the child, in the order in which they get their ids; parents are read while they live."""
+    """Return the requested births, by species of the child, in the order in which they get their ids. Parents are read while they
+    live."""
     found: dict[str, Births] = {}
     for population in world.populations.values():
         entries = population.effects.drained("spawn")
@@ -150,7 +151,7 @@ def _coming(world: World) -> dict[str, Births]:
 
 
 def _bear(world: World, population: Population, births: Births) -> NDArray[np.intp]:
-    """Put newborn agents into the world; gives their rows."""
+    """Add newborn agents to the world; return their rows."""
     old = len(population)
     for _, rows, position, footing, carried in births:
         room = limits.AGENTS - len(world)
@@ -168,10 +169,11 @@ def _bear(world: World, population: Population, births: Births) -> NDArray[np.in
 
 
 def come_alive(world: World, newborn: Mapping[str, NDArray[np.intp]]) -> None:
-    """Fill the registers of new rows, by species, whose place, up, heading and velocity are there already: the block `born`.
+    """Run the block `born` to fill the registers of new rows, by species. Their position, up, heading and velocity are already
+    set.
 
-    Those born together see each other's place and movement; all else of each other is still 0 or none, whoever is worked out
-    first."""
+    Agents born together see each other's position and movement. All their other values are still 0 or none, whatever the order of
+    computation."""
     world.grids.clear()  # rows have changed
     world.trees.clear()
     world.touching = None
@@ -199,14 +201,14 @@ def come_alive(world: World, newborn: Mapping[str, NDArray[np.intp]]) -> None:
 
 
 def _smells(population: Population) -> bool:
-    """Whether somebody asks for a field at birth."""
+    """Return whether the species reads a field at birth."""
     nodes = needed(tuple(node for _, statement in placed(population.plan.born) for node in operands(statement)))
     return any(node.op.startswith("field.") for node in nodes)
 
 
 def forget_the_dead(world: World, population: Population, *, between_steps: bool = False) -> None:
-    """References to the dead become none, where the plan says whose ids a register holds; `between_steps` in the state that the
-    next step begins with, too."""
+    """Set references to dead agents to none, in registers that the plan marks as ids. `between_steps`: also in the start state of
+    the next step."""
     for register in population.plan.registers.values():
         if register.kind is ir.Kind.I64 and register.of in world.populations and register.role != "temp":
             for holder in (population.now, population.start) if between_steps else (population.now,):
@@ -217,7 +219,7 @@ def forget_the_dead(world: World, population: Population, *, between_steps: bool
 
 
 def event_names(world: World) -> tuple[str, ...]:
-    """The events that some species may hear or emit, by name; `Emitted.event` counts these."""
+    """Return the events that a species may handle or emit, by name; `Emitted.event` is an index into these."""
     plans = [population.plan for population in world.populations.values()]
     found = {name for plan in plans for name in plan.handles}
     for plan in plans:
@@ -242,7 +244,7 @@ def note(world: World, population: Population, rows: NDArray[np.intp], event: st
 
 
 def emitted_since(world: World) -> Emitted:
-    """What was emitted since this was asked last, by species, id and event."""
+    """Return the events emitted since the last call, by species, id and event."""
     found, world.emitted = world.emitted or [], None if world.emitted is None else []
     arrays = {
         name: np.concatenate([np.empty((0, *wide), kind), *(getattr(each, name) for each in found)])

@@ -1,6 +1,6 @@
-"""Level of detail: agents far from the camera feel obstacles as the boxes about their connected pieces, or not at all.
+"""Level of detail: agents far from the camera sense obstacles as the boxes of their connected pieces, or not at all.
 
-Which is felt depends on the place where an agent's step begins and on nothing else; obstacles stay hard for everybody."""
+The level depends only on the agent's position at the start of its step. Obstacles stay impassable for all agents."""
 
 from __future__ import annotations
 
@@ -30,7 +30,8 @@ _SIDES = np.array(
 
 
 class Detail:
-    """The levels of one world. `counts` int64: steps so far, and agents at each of LEVELS, added up over these steps."""
+    """The levels of detail of one world. `counts` int64: the steps so far, and the agents at each of LEVELS, summed over these
+    steps."""
 
     def __init__(self, data: DetailData, origin: NDArray[np.float64], obstacles: Mapping[str, MeshData]) -> None:
         self._camera = np.asarray(data.camera, np.float64).reshape(-1, 3) - origin
@@ -43,7 +44,7 @@ class Detail:
         self.counts = np.zeros(1 + len(LEVELS), np.int64)
 
     def pose(self, name: str, vertices: NDArray[np.float64]) -> None:
-        """Put an obstacle's boxes where its vertices are."""
+        """Move an obstacle's boxes to its current vertices."""
         self._boxes[name] = self._pieces[name].boxes(vertices)
         self._scenes[name] = _scene(*self._boxes[name])
 
@@ -58,7 +59,7 @@ class Detail:
         return np.sum(each, axis=0, dtype=np.int64) if each else np.zeros(len(LEVELS), np.int64)
 
     def summary(self, world: World) -> dict[str, dict[str, float]]:
-        """Agents at each level, at the end and on the average of all steps."""
+        """Return the number of agents at each level, at the end and as the mean of all steps."""
         steps = max(int(self.counts[0]), 1)
         return {
             "end": {name: int(count) for name, count in zip(LEVELS, self.now(world), strict=True)},
@@ -66,9 +67,9 @@ class Detail:
         }
 
     def felt(self, world: World, population: Population, name: str) -> NDArray[np.int8] | None:
-        """How each agent feels an obstacle (number of LEVELS, int8[n]), kept for the step; None for what is no obstacle.
+        """Return how each agent senses an obstacle (number of LEVELS, int8[n]), cached for the step; None if it is no obstacle.
 
-        Who stands inside the box of a piece, as within the walls of a house, feels its triangles."""
+        An agent inside the box of a piece, for example within the walls of a house, senses its triangles."""
         if name not in self._boxes:
             return None
         key = (population.name, f"~level of {name}", population.version)
@@ -82,11 +83,11 @@ class Detail:
         return found
 
     def boxes(self, name: str) -> RayScene:
-        """The boxes of an obstacle's pieces, to be felt like the obstacle."""
+        """Return the boxes of an obstacle's pieces, which feelers hit instead of the obstacle."""
         return self._scenes[name]
 
     def clearance(self, world: World, population: Population, name: str) -> NDArray[np.float32]:
-        """A distance (mm, float32[n]) within which an agent meets none of these boxes; kept for the step."""
+        """Return a distance (mm, float32[n]) within which an agent touches none of these boxes; cached for the step."""
         key = (population.name, f"~boxes of {name}", population.version)
         found: NDArray[np.float32] | None = world.clearances.get(key)
         if found is None:
@@ -95,7 +96,7 @@ class Detail:
         return found
 
     def _kept(self, world: World, population: Population) -> tuple[NDArray[np.float32], NDArray[np.int8]]:
-        """Where agents are, float32[n,3], and the level of each, kept for the step."""
+        """Return the agents' positions, float32[n,3], and the level of each, cached for the step."""
         place = _places(population)
         key = (population.name, "~level", population.version)
         found: NDArray[np.int8] | None = world.clearances.get(key)
@@ -114,7 +115,7 @@ def _places(population: Population) -> NDArray[np.float32]:
 
 
 class Pieces:
-    """The connected pieces of a mesh: faces that share corners, by their number or by their place."""
+    """The connected pieces of a mesh: faces are connected if they share corners, by number or by position."""
 
     def __init__(self, mesh: MeshData) -> None:
         self._used = np.unique(mesh.faces)
@@ -122,7 +123,7 @@ class Pieces:
         self._count = int(self._piece.max(initial=-1)) + 1
 
     def boxes(self, vertices: NDArray[np.float64]) -> Boxes:
-        """Least and greatest corner of each piece, float32[m,3], with the mesh's vertices where they are by now."""
+        """Return the least and greatest corner of each piece, float32[m,3], at the mesh's current vertices."""
         low, high = np.full((self._count, 3), np.inf), np.full((self._count, 3), -np.inf)
         np.minimum.at(low, self._piece, vertices[self._used])
         np.maximum.at(high, self._piece, vertices[self._used])
@@ -147,7 +148,7 @@ def _scene(low: NDArray[np.float32], high: NDArray[np.float32]) -> RayScene:
 
 
 def inside(place: NDArray[np.float32], low: NDArray[np.float32], high: NDArray[np.float32]) -> NDArray[np.bool_]:
-    """Which places [n,3] lie in one of the boxes. Most are in a cell of a coarse grid that no box reaches into."""
+    """Return which places [n,3] lie in one of the boxes. Most lie in a cell of a coarse grid that no box reaches."""
     found = np.zeros(len(place), np.bool_)
     if not len(place) or not len(low):
         return found

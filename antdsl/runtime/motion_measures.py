@@ -35,7 +35,7 @@ _WISH = 0.2  # a push that is meant
 _STILL = 0.03  # of max_speed: standing
 _TOUCH = 0.01  # of the room that two take: closer than this they stand in each other
 _DEEP = 0.05  # of its width: farther in another than this an agent is seen to be
-_AT_EVERY_STEP = 2_000  # agents whose trunks are measured in every step; of so many times more, as many times more seldom
+_AT_EVERY_STEP = 2_000  # agents up to which trunks are measured in every step; with k times as many, about every k steps
 _COUNTS = (
     "turns", "tilts", "overlaps", "standing", "wishing", "ways", "circling", "straightness", "steps",
     "tilt_max", "step_max", "heads", "heads_inside", "placed", "overlapping", "deep_max",
@@ -46,13 +46,13 @@ _WANTED = tuple(f"{name}.{axis}" for name in ("velocity", "push") for axis in AX
 _COUNTED = (*_SEEN, *_WANTED, "max_speed", "size")
 _NOW, _START = itemgetter(*_COUNTED), itemgetter(*_SEEN)
 _MEANT = (np.float32(_WISH), np.float32(_STILL), np.float32(_MOVED))
-_PART = 512  # agents, of whom the numbers are worked out before they are counted
+_PART = 512  # agents per part: their numbers are computed before they are counted
 _CELLS = 4096  # of half chords, each of which knows where the bins begin that it reaches
 
 
 @dataclass(slots=True, eq=False)
 class Window:
-    """Ways of one species since the window began, by id."""
+    """Paths of one species since the window began, by id."""
 
     ids: NDArray[np.int64]
     start: NDArray[np.float64]
@@ -84,18 +84,18 @@ class Motion:
     placed: int = 0
     overlapping: int = 0
     deep_max: float = 0.0
-    half_max: float = 0.0  # the half chord of a tilt that `tilt_max` has been asked for
+    half_max: float = 0.0  # the half chord of a tilt that `tilt_max` was computed for
     counted: NDArray[np.int64] = field(default_factory=lambda: np.zeros((2, 1, _BINS + 1), np.int64))  # see `_add_counted`
     windows: dict[str, Window] = field(default_factory=dict)
 
     def reset(self) -> None:
-        """Begin anew, say after a preroll; how the crowd was placed stays known."""
+        """Restart the measures, for example after a preroll; how the crowd was placed stays known."""
         fresh = Motion(placed=self.placed, overlapping=self.overlapping)
         for name in (*_COUNTS, "half_max", "counted", "windows"):
             setattr(self, name, getattr(fresh, name))
 
     def begin(self, world: World) -> None:
-        """Count who stands inside another, of whatever species, before anybody has moved."""
+        """Count the agents that stand inside another, of any species, before any agent moves."""
         crowds = [population.now for population in world.populations.values()]
         if not crowds:
             return
@@ -115,7 +115,7 @@ class Motion:
 
     @classmethod
     def of(cls, arrays: dict[str, NDArray[Any]]) -> Motion:
-        """From the arrays of a checkpoint; what is missing begins anew."""
+        """Return the measures from the arrays of a checkpoint; missing ones restart."""
         motion = cls()
         for name in _COUNTS:
             if name in arrays:
@@ -126,7 +126,7 @@ class Motion:
         return motion
 
     def observe(self, world: World) -> None:
-        """Count one step; called after the move, before the ground goes on."""
+        """Count one step. Call it after the move, before the ground moves on."""
         second = max(1, round(1.0 / world.dt))
         every = second if world.setting.contacts == "off" else 1 + len(world) // _AT_EVERY_STEP
         crowds = [population for population in world.populations.values() if len(population)]
@@ -149,7 +149,7 @@ class Motion:
             self.straightness += fsum(straight)  # the same in any order of rows
 
     def _counted(self, population: Population, window: Window, dt: np.float32, steps: int, threads: int) -> NDArray[np.float64]:
-        """Adds a step to the counts and to the ways; gives how straight those are that have ended, 0 to 1."""
+        """Add a step to the counts and the paths; return the straightness of the paths that have ended, 0 to 1."""
         now, start = _NOW(population.now), _START(population.start)
         seen = (now[0:3], now[3:6], now[6:9], start[0:3], start[3:6], start[6:9])
         agents = Agents(*seen, now[9:12], now[12:15], *now[15:])
@@ -172,13 +172,13 @@ class Motion:
         return parallel.joined(counts, window.straight)[0]
 
     def _add_counted(self) -> None:
-        """Add up what each part of a kernel has counted of turns and tilts in rows of its own."""
+        """Add up the turns and tilts that each part of a kernel has counted in separate rows."""
         for total, rows in zip((self.turns, self.tilts), self.counted, strict=True):
             total += rows.sum(axis=0)
         self.counted.fill(0)
 
     def _window(self, population: Population) -> Window:
-        """The window of a species, its rows brought into those of the agents."""
+        """Return the window of a species, with its rows reordered to those of the agents."""
         known, ids = self.windows.get(population.name), population.ids
         if known is not None and known.ids is ids:
             return known
@@ -204,8 +204,9 @@ class Motion:
         return fresh
 
     def _bodies(self, world: World, deep: bool, crowds: list[Population]) -> None:
-        """How `deep` trunks are in each other; and of some crowds how far agents stand inside each other, 0 apart to 1 in one
-        place, by the worst neighbour, and whose heads are inside the ground. Each is looked for by itself, side by side."""
+        """Measure, if `deep`, how far trunks penetrate each other. Of some crowds, also measure how far agents overlap (0 apart,
+        1 at one position, for the worst neighbour), and which heads are inside the ground. The measures run separately, in
+        parallel."""
         looks: list[Callable[[], NDArray[Any]]] = [partial(depths, world)] if deep else []
         for population in crowds:
             now = population.now
@@ -255,8 +256,10 @@ def _bin_of(angle: NDArray[np.float32]) -> NDArray[np.int64]:
 
 @cache
 def _bins() -> tuple[NDArray[np.float32], NDArray[np.int64]]:
-    """The least half chord of each bin of turns, float32[bins + 2], the last beyond all, and the bin of the least half chord of
-    each of 4096 cells, int64[cells + 1]. Bins are found by halving, since a longer chord is a greater angle."""
+    """Return the bin tables of turns.
+
+    First the least half chord of each bin, float32[bins + 2]; the last is beyond all. Then the bin of the least half chord of
+    each of 4096 cells, int64[cells + 1]. Bins are found by bisection, since a longer chord is a greater angle."""
     wanted = np.arange(1, _BINS + 1)
     low, high = (np.full(_BINS, np.float32(end).view(np.int32), np.int64) for end in (0.0, 1.0))
     while (low < high).any():  # positive floats are ordered as their bits are
@@ -285,7 +288,7 @@ def _between(a: VectorColumns, b: VectorColumns, i: I64) -> F32:
 
 @inlined
 def _count(half: F32, least: Array1[F32], first: Array1[I64], bins: Array2[I64], part: I64) -> None:
-    """The last bin whose least half chord is no more than this one's; `first`: where to begin to look, by its size."""
+    """Count in the last bin that has a least half chord of at most `half`. `first`: the bin to search from, by size."""
     k = first[np.int64(half * np.float32(4096.0))]
     k += 1 if half >= least[k + 1] else 0  # seldom more, so that what follows is foretold
     while half >= least[k + 1]:
@@ -309,7 +312,8 @@ class Agents(NamedTuple):
 
 
 class Paths(NamedTuple):
-    """Where agents are and where their paths `began` (n, 3), how long (mm) and old these are, and how straight those that end."""
+    """Positions of agents and where their paths `began` (n, 3), length (mm) and age of the paths, and straightness of those that
+    end."""
 
     place: Strided2[F64]
     began: Strided2[F64]
@@ -319,8 +323,8 @@ class Paths(NamedTuple):
 
 
 class Bins(NamedTuple):
-    """Bins of turns and tilts, of which each of `several` parts of a `count` of agents has a row; the `least` half chord of each
-    bin, and the `first` to look at."""
+    """Bins of turns and tilts, one row for each of `several` parts of `count` agents; the `least` half chord of each bin, and the
+    `first` bin to test."""
 
     turns: Array2[I64]
     tilts: Array2[I64]
@@ -331,8 +335,8 @@ class Bins(NamedTuple):
 
 
 class Meant(NamedTuple):
-    """Seconds of a step; the least push that is meant, the share of speed that is standing; a path ends after `steps` and counts
-    when it is `far` body lengths long."""
+    """Seconds of a step; the least push that counts as a wish; the share of speed below which an agent stands. A path ends after
+    `steps`, and counts if it is `far` body lengths long."""
 
     dt: F32
     wish: F32
@@ -342,8 +346,8 @@ class Meant(NamedTuple):
 
 
 class StepCounts(NamedTuple):
-    """The first agent of a part; how many paths have ended, whose straightness is written from there on; how many agents stand;
-    the greatest half chord of a tilt, and the greatest share of the longest step."""
+    """The counts of a part: its first agent, and the number of ended paths, with their straightness written from there on. Also
+    the number of standing agents, the greatest half chord of a tilt, and the greatest share of the longest step."""
 
     begin: I64
     ended: I64
@@ -354,7 +358,7 @@ class StepCounts(NamedTuple):
 
 @kernel
 def _count_step(agents: Agents, paths: Paths, bins: Bins, meant: Meant, begin: I64, end: I64) -> StepCounts:
-    """Adds one step of agents from `begin` to before `end` to the measures."""
+    """Add one step of agents from `begin` to before `end` to the measures."""
     position, heading, up, position_before, heading_before, up_before, velocity, push, fastest, size = agents
     place, began, path, age, straight = paths
     turns, tilts, several, count, least, first = bins

@@ -1,6 +1,6 @@
-"""The nearest of a whole species for each of many agents, by a k-d tree (J. L. Bentley, Multidimensional binary search trees,
-Comm. ACM 18, 1975) instead of measuring all pairs. The tree only tells who may be nearest; float32 distances, and ids at a tie,
-tell who is, as they do where all pairs are measured."""
+"""The nearest agent of a whole species for each of many agents, by a k-d tree (J. L. Bentley, Multidimensional binary search
+trees, Comm. ACM 18, 1975) instead of measuring all pairs. The tree only gives candidates. Float32 distances, and ids at a tie,
+decide, as where all pairs are measured."""
 
 from __future__ import annotations
 
@@ -25,9 +25,9 @@ _AT_ONCE = 1 << 20  # pairs
 
 
 def nearest_of_all(world: World, other: Population, own: tuple[Floats, ...], ids: NDArray[np.int64] | None) -> Found | None:
-    """Of each asking agent (float32[n] x, y and z mm, and `ids` where it is of the other's species, lest it finds itself) the one
-    nearest other: numbers of who asks, ascending, rows of the others, their x, y, z less the own ones, distances. None where
-    somebody's place is not finite, or farther out than float32 can square."""
+    """Return the nearest other of each asking agent. The agents are float32[n] x, y and z mm, with `ids` if they are of the
+    other's species, so that none finds itself. Returns the ascending indices of agents with a result, rows of the others, offsets
+    x, y, z from the asking agent, and distances. Returns None if a position is not finite or its square exceeds float32."""
     mine, places = np.stack(own, axis=1).astype(np.float64), _places(world, other)
     if places is None or not (np.abs(mine) < _MOST).all():
         return None
@@ -63,7 +63,7 @@ def nearest_of_all(world: World, other: Population, own: tuple[Floats, ...], ids
 
 
 def _of_all(other: Population, own: tuple[Floats, ...], ids: NDArray[np.int64] | None, asking: NDArray[np.intp]) -> list[Found]:
-    """The nearest of all others for some who ask, by measuring all."""
+    """Find the nearest of all others for some requesting agents, by measuring all pairs."""
     order = other.in_id_order()
     known, place = other.ids.take(order), [other.start[f"position.{axis}"].take(order) for axis in AXES]
     parts, at_once = [], max(1, _AT_ONCE // len(order))
@@ -81,7 +81,7 @@ def _of_all(other: Population, own: tuple[Floats, ...], ids: NDArray[np.int64] |
 
 
 def _least(other: Population, own: tuple[Floats, ...], i: NDArray[np.intp], j: NDArray[np.intp]) -> Found:
-    """Of pairs that may be the nearest, one for each who asks."""
+    """Return the nearest of candidate pairs, one for each requesting agent."""
     dx, dy, dz = (other.start[f"position.{axis}"].take(j) - own[k].take(i) for k, axis in enumerate(AXES))
     distance = np.sqrt((dx * dx + dy * dy) + dz * dz)
     order = np.lexsort((other.ids.take(j), distance, i))
@@ -92,8 +92,8 @@ def _least(other: Population, own: tuple[Floats, ...], i: NDArray[np.intp], j: N
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Places:
-    """Where agents of a species stand, each place once: a k-d `tree` of them, and the rows of the two of least id in each, -1
-    where there is one only: who asks may be the first itself."""
+    """The distinct positions of agents of a species: a k-d `tree`, and the rows of the two least ids at each. The second is -1 if
+    there is only one. It is needed because the requesting agent may be the first."""
 
     tree: Any
     first: NDArray[np.intp]
@@ -101,8 +101,8 @@ class _Places:
 
 
 def _places(world: World, other: Population) -> _Places | None:
-    """The places of a species as the step began, found once in it; None where there are none, or one that is not finite or too
-    far out."""
+    """Return the positions of a species at the start of the step, cached within the step. None if there are none, or one is not
+    finite or too far out."""
     if other.name not in world.trees:
         world.trees[other.name] = _found(other)
     found: _Places | None = world.trees[other.name]

@@ -36,8 +36,9 @@ Nearest = tuple[Array2[F32], Array2[I64], Array2[I64], Array2[I64], Array1[I64]]
 def clear_velocity(
     world: World, population: Population, rows: Rows, wish: Vector, within: Floats, horizon: Floats, most: Floats
 ) -> tuple[NDArray[np.float32], ...]:
-    """Velocities (mm/s, x y z) along the ground of some agents, nearest to a wish, by which they meet none of the `most` nearest
-    others of any species `within` mm, on their side of the ground, for `horizon` s. Each is as it was when the step began."""
+    """Return velocities (mm/s, x y z) along the ground, for some agents, nearest to a requested velocity. They avoid, for
+    `horizon` s, the `most` nearest others of any species within `within` mm on the same side of the ground. All agents are taken
+    as at the start of the step."""
     threads = world.options.threads
     plane = Plane.of(population, rows, threads)
     moves = plane.moves(population, rows, wish, threads)
@@ -48,8 +49,8 @@ def clear_velocity(
 
 
 def widest_gap(world: World, population: Population, rows: Rows, within: Floats, most: Floats) -> tuple[NDArray[np.float32], ...]:
-    """Unit ways (x y z) of some agents along their ground into the widest gap between the `most` nearest others of any species
-    `within` mm, on their side of the ground; 0 without any."""
+    """Return unit directions (x y z) along the ground, for some agents, into the widest gap between neighbours. These are the
+    `most` nearest others of any species within `within` mm, on their side of the ground; 0 without any."""
     plane = Plane.of(population, rows, world.options.threads)
     others = _others(world, population, rows, within, most, None, plane)
     return plane.raised(*widest_gaps(others.x, others.y, others.there), world.options.threads)
@@ -58,7 +59,7 @@ def widest_gap(world: World, population: Population, rows: Rows, within: Floats,
 def _others(
     world: World, population: Population, rows: Rows, within: Floats, most: Floats, own: Vector | None, plane: Plane
 ) -> Others:
-    """The nearest others of all species, at most `most` of each agent; their velocities where its `own` is given."""
+    """Return the nearest others of all species, at most `most` for each agent; their velocities too if `own` is given."""
     count = np.minimum(np.where(most > 0, most, 0), limits.NEIGHBOURS).astype(np.intp)
     n, widest = len(rows), int(count.max(initial=0))
     place = tuple(np.ascontiguousarray(population.start[f"position.{axis}"][rows]) for axis in AXES)
@@ -97,8 +98,8 @@ def _plain(vectors: vec.Columns) -> Vector:
 def _near(
     world: World, other: Population, ids: NDArray[np.int64] | None, place: Any, reach: NDArray[np.float32], far: float
 ) -> Pairs:
-    """Pairs of places and of those of a species within their `reach`, at most `far` (mm); `ids`: of the places, if they are of
-    this species."""
+    """Return pairs of places and agents of a species within their `reach`, at most `far` (mm). `ids`: those of the places, if
+    they are agents of this species."""
     grid = grid_for(world, other, far if far > 0 else 1.0)
     return grid.pairs(None, reach, qx=place[0], qy=place[1], qz=place[2], qid=ids, threads=world.options.threads)
 
@@ -118,8 +119,8 @@ def _choose(
     i: Array1[I64], j: Array1[I64], distance: Array1[F32], up: Vectors64, theirs: Vectors32, ids: Array1[I64], number: I64,
     most: Array1[I64], nearest: Nearest,
 ) -> None:  # fmt: skip
-    """Put those of a species' pairs (agent i sees j) that stand on i's side of the ground into the tables of the nearest, at most
-    so many of each agent, by distance, then species, then id."""
+    """Add a species' pairs (agent i sees j) on i's side of the ground to the tables of the nearest. Each agent has at most `most`
+    entries, ordered by distance, then species, then id."""
     far, species, names, pairs, taken = nearest
     for k in range(i.size):
         a, b = i[k], j[k]
@@ -148,7 +149,7 @@ def _choose(
 
 
 class Asking(NamedTuple):
-    """Agents that ask: their ids, radii, planes, and velocities if these count (`moves`)."""
+    """The requesting agents: their ids, radii, planes, and velocities if these count (`moves`)."""
 
     ids: Array1[I64]
     radius: Array1[F64]
@@ -159,7 +160,8 @@ class Asking(NamedTuple):
 
 
 class Asked(NamedTuple):
-    """Those of a species: its number, the `same` as that of the agents that ask, else `sooner` by name or not."""
+    """The agents of one species: its number; `same`: it is the species of the requesting agents; else `sooner`: whether its name
+    comes first."""
 
     number: I64
     same: BOOL
@@ -182,7 +184,7 @@ class OtherColumns(NamedTuple):
 
 @kernel
 def _lay(nearest: Nearest, asking: Asking, asked: Asked, j: Array1[I64], way: Vectors32, columns: OtherColumns) -> None:
-    """Fill the columns with those in the tables who are of one species."""
+    """Fill the columns for the neighbours of one species in the tables."""
     ids, radius, ahead, left, moves, own = asking
     number, same, sooner, theirs, other = asked
     x, y, vx, vy, room, there, first = columns
@@ -210,8 +212,8 @@ def _lay(nearest: Nearest, asking: Asking, asked: Asked, j: Array1[I64], way: Ve
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Moves:
-    """How some agents move: their velocities `own` in space, these and those that they wish by their parts ahead and to the left,
-    and how fast (mm/s) each may be, float64."""
+    """The motion of some agents, float64: their velocities `own` in space, these and the wished ones by components ahead and to
+    the left, and their speed limits (mm/s)."""
 
     own: Vector
     velocity: tuple[Floats, Floats]
@@ -229,14 +231,14 @@ class Plane:
 
     @classmethod
     def of(cls, population: Population, rows: Rows, threads: int) -> Plane:
-        """That of the agents of some rows, as the step began."""
+        """Return the plane of the agents of some rows, as at the start of the step."""
         up, heading = (vec.named(population.start, name) for name in ("up", "heading"))
         found = np.empty((3, 3, len(rows)))
         parallel.in_parts(partial(_stand, rows, up, heading, *found), len(rows), threads, parallel.LIGHT)
         return cls(*(tuple(each) for each in found))
 
     def moves(self, population: Population, rows: Rows, wish: Vector, threads: int) -> Moves:
-        """How these agents move, with the velocities (mm/s) in space that they wish; what is no number is 0."""
+        """Return the motion of these agents, with the velocities (mm/s) in space that they wish for. NaN becomes 0."""
         start = population.start
         velocity, speed = vec.named(start, "velocity"), start["max_speed"]
         wished, n = tuple(np.ascontiguousarray(component, np.float64) for component in wish), len(rows)
@@ -281,7 +283,7 @@ def _stand(
     begin: I64,
     end: I64,
 ) -> None:
-    """`Plane.of` some rows, from the `begin`-th to before the `end`-th: their axes (3, n)."""
+    """`Plane.of` for some rows, from the `begin`-th to before the `end`-th: their axes (3, n)."""
     for k in independent(begin, end):
         row = rows[k]
         u = _known_of(up, row)
@@ -305,8 +307,8 @@ def _move(
     begin: I64,
     end: I64,
 ) -> None:
-    """`Plane.moves` of some rows, from the `begin`-th to before the `end`-th: velocities (3, n), and their parts and those of the
-    wish (4, n)."""
+    """`Plane.moves` for some rows, from the `begin`-th to before the `end`-th: velocities (3, n), and the components of velocity
+    and wish (4, n)."""
     for k in independent(begin, end):
         row = rows[k]
         v, w, x, y = _known_of(velocity, row), _known_of(wish, k), _of(ahead, k), _of(left, k)
@@ -318,14 +320,14 @@ def _move(
 
 @kernel
 def _lift(ahead: Vectors64, left: Vectors64, x: Array1[F64], y: Array1[F64], made: Array2[F32], begin: I64, end: I64) -> None:
-    """`Plane.raised`, from the `begin`-th to before the `end`-th, to `made` (3, n)."""
+    """`Plane.raised`, from the `begin`-th to before the `end`-th, into `made` (3, n)."""
     for k in independent(begin, end):
         for axis in range(3):
             made[axis, k] = np.float32(ahead[axis][k] * x[k] + left[axis][k] * y[k])
 
 
 def grid_for(world: World, other: Population, widest: float) -> CellGrid:
-    """Where the others are, in cells that suit a radius: finding them in wider ones costs less than sorting them again."""
+    """Return the others in cells that suit a radius. Searching wider existing cells costs less than sorting again."""
     size = float(np.ceil(4 * np.log2(widest)))
     known = [(k, grid) for (name, k), grid in list(world.grids.items()) if name == other.name and size <= k <= size + _COARSER]
     if known:

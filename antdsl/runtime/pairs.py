@@ -1,7 +1,6 @@
-"""Sets as lists of pairs: which others or items each asking row has, and what is reduced over them.
+"""Sets as lists of pairs: the others or items of each requesting row, and reductions over them.
 
-Pairs are sorted by the asking row. Every reduction gives the same bits whatever the order within a row.
-"""
+Pairs are sorted by the requesting row. Every reduction gives the same bits for any order within a row."""
 
 from __future__ import annotations
 
@@ -30,12 +29,12 @@ Index = NDArray[np.integer[Any]]
 NO_AGENT = np.int64(-1)
 NO_ITEM = np.int32(-1)
 _ROUNDED = 1 + 1e-6  # by more than float32 rounds a distance
-MOST_PAIRS = 1 << 22  # of one chunk, where everybody is asked about everybody
+MOST_PAIRS = 1 << 22  # of one chunk, where all agents are compared with all
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PairRows:
-    """`i` counts the asking rows from 0, `j` is a row of `of`; `dx dy dz` other minus own, float32 mm, and its length."""
+    """`i`: index of the requesting row, from 0; `j`: a row of `of`; `dx dy dz`: other minus own, float32 mm, and its length."""
 
     of: Population | Items
     count: int  # asking rows
@@ -51,7 +50,7 @@ class PairRows:
         return PairRows(self.of, self.count, *arrays)
 
     def of_rows(self, rows: NDArray[np.intp]) -> PairRows:
-        """Only the pairs of some asking rows, which are counted anew."""
+        """Return only the pairs of some asking rows, which are numbered from 0."""
         number = np.full(self.count, -1)
         number[rows] = np.arange(len(rows))
         i = number.take(self.i)
@@ -92,7 +91,7 @@ def find(world: World, population: Population, node: ir.Node, rows: Any, args: t
 
 
 def _advice(other: Population, radius: Any) -> str:
-    """What to do about too many in a radius: more than stand side by side in it must stand in each other."""
+    """Return advice on too many agents in a radius: more than fit next to each other in it must overlap."""
     widest, body = float(np.max(radius)), float(np.median(other.start["radius"]))
     if 0 < widest < body * np.sqrt(limits.WITHIN_RADIUS):
         return "they stand in each other, so give them more room, or write a smaller radius"
@@ -100,13 +99,13 @@ def _advice(other: Population, radius: Any) -> str:
 
 
 def only_the_nearest(species: ir.SpeciesPlan, node: ir.Node) -> bool:
-    """Whether a set is a whole species of which nothing is asked but who is nearest: then that one stands for all."""
+    """Return whether a set is a whole species of which only the nearest agent is used: then that one stands for the set."""
     return node.op == "set.every" and nearest_asked(species, node) == 1
 
 
 @lru_cache(256)
 def nearest_asked(species: ir.SpeciesPlan, node: ir.Node) -> int | None:
-    """How many of a set, the nearest, tell all that is asked of it; None where more than its nearest is asked for."""
+    """Return how many of the nearest agents of a set determine all its results; None if more than its nearest is used."""
     every = needed(n for _, block in blocks(species) for _, statement in statements(block) for n in operands(statement))
     made = [each for each in every if each.op.startswith("reduce.") and each.args[0] is node]
     if not made or any(each.op != "reduce.agent" or each.args[2].op != "pair.distance" for each in made):
@@ -117,7 +116,7 @@ def nearest_asked(species: ir.SpeciesPlan, node: ir.Node) -> int | None:
 
 
 def _shorter(other: Population, own: tuple[Floats, ...], ids: NDArray[np.int64] | None, radius: Any, count: int) -> Floats:
-    """Radii cut to what still reaches so many of the others, the nearest."""
+    """Return the radii, reduced to what still reaches the nearest `count` others."""
     from scipy.spatial import cKDTree
 
     theirs = np.stack([other.start[f"position.{axis}"] for axis in AXES], axis=1).astype(np.float64)
@@ -130,7 +129,8 @@ def _shorter(other: Population, own: tuple[Floats, ...], ids: NDArray[np.int64] 
 
 
 def _asked_at(species: ir.SpeciesPlan, node: ir.Node) -> Span | None:
-    """Where the species' own text asks for a set, which may stand in a library: the least part of it that needs the set."""
+    """Return where the species' own text uses a set that a library may define: the smallest part of the text that needs the
+    set."""
     if _own_text(node.span):
         return node.span
     for _, block in blocks(species):
@@ -150,7 +150,7 @@ def _own_text(span: Span | None) -> bool:
 
 
 def _view(population: Population, rows: Any, cosine: Any, count: int) -> View:
-    """Heading of each asking row, and the cosine of half its field of view."""
+    """Return the heading of each requesting row, and the cosine of half its field of view."""
     hx, hy, hz = (population.start[f"heading.{axis}"][rows] for axis in AXES)
     return hx, hy, hz, np.full(count, cosine) if np.ndim(cosine) == 0 else cosine
 
@@ -185,7 +185,7 @@ def _every(other: Population, own: tuple[Floats, ...], ids: NDArray[np.int64] | 
 
 
 def _held(pairs: PairRows, condition: Any) -> tuple[Index, NDArray[np.intp] | None]:
-    """Asking rows of the pairs that count, and which they are (None: all)."""
+    """Return the requesting rows of the pairs that count, and the indices of these pairs (None: all)."""
     if np.ndim(condition) == 0:
         return (pairs.i, None) if condition else (pairs.i[:0], np.empty(0, np.intp))
     keep = np.flatnonzero(condition)

@@ -26,8 +26,8 @@ _SORT_EVERY, _SORT_FROM = 16, 2048  # frames, agents
 
 
 def sense(world: World) -> None:
-    """Forget what was sensed, show the items' amounts, solve flows that are due, find each agent's cells. Senses themselves run
-    when first needed. From here on `time` and `frame` are those of the frame that is made."""
+    """Clear the senses, show the items' amounts, solve flows that are due, and find each agent's cells. Senses are computed when
+    first needed. From here on, `time` and `frame` are those of the new frame."""
     world.stepping = True
     world.grids.clear()
     world.trees.clear()
@@ -48,17 +48,17 @@ def sense(world: World) -> None:
 
 
 def decide(world: World) -> None:
-    """Handlers, latches and transitions: what each agent would do."""
+    """Run handlers, latches and transitions: what each agent intends to do."""
     _run(world, "decide")
 
 
 def claim(world: World) -> None:
-    """Who gets what they asked for."""
+    """Settle the claims: decide which agents get what they requested."""
     claims.settle(world)
 
 
 def act(world: World) -> None:
-    """Transitions' actions, and the body of the state that one is in now. Changes are counted while the dying are still there."""
+    """Run the actions of transitions, and the body of the new state. Changes are counted before the dead are removed."""
     _run(world, "act")
     for population in world.populations.values():
         _count_transitions(world, population)
@@ -80,14 +80,14 @@ def _run(world: World, block: str) -> None:
 
 
 def effects(world: World) -> None:
-    """Gifts, and what is settled before anything spreads or moves: events for the next step, deposits. Their order does not
-    count: none reads what another writes."""
+    """Apply gifts, and what is settled before anything spreads or moves: events for the next step, deposits. Their order does not
+    matter: none reads what another writes."""
     _settle("effects", world)
     claims.give(world)
 
 
 def _settle(phase: str, world: World) -> None:
-    """What is asked and settled in a phase, by the rows; what settles several is called once."""
+    """Settle the requests of a phase, by the rows; a function that settles several is called once."""
     if any([population.effects.asked for population in world.populations.values()]):
         for settle in dict.fromkeys(SETTLES[op] for op in settled_in(phase)):
             settle(world)
@@ -101,7 +101,7 @@ def fields(world: World) -> None:
 
 
 def move(world: World) -> None:
-    """Advances all agents along the surfaces, substep by substep; then bodies that stand in each other part."""
+    """Move all agents along the surfaces, substep by substep; then separate overlapping bodies."""
     with np.errstate(all="ignore"):
         for population in world.populations.values():
             tilting.stand_up(population)
@@ -122,14 +122,14 @@ def measure(world: World) -> None:
 
 
 def bear(world: World) -> None:
-    """Takes dead agents out of the populations and puts newborn ones in."""
+    """Remove dead agents from the populations and add newborn ones."""
     _settle("births", world)
     lifecycle.settle_newborn(world)
     faults.gather(world)  # of births, while their rows and the frame are still these
 
 
 def commit(world: World) -> None:
-    """What was written in this step becomes the state that agents see in the next."""
+    """Make what was written in this step the state that agents see in the next."""
     world.frame, world.stepping = world.shown, False
     by_place = (world.frame - world.setting.first_frame - 1) % _SORT_EVERY == 0  # after the first step, too
     for population in world.populations.values():
@@ -142,7 +142,8 @@ def commit(world: World) -> None:
 
 
 def _by_place(population: Population, threads: int) -> NDArray[np.intp]:
-    """Rows in order of place, along the curve of G. Morton (1966): who is near in space is near in memory. Nobody can tell."""
+    """Return rows in order of position, along the curve of G. Morton (1966): neighbours in space are then neighbours in memory.
+    No result depends on it."""
     low, high = population.position.min(axis=0), population.position.max(axis=0)
     width = max(float((high - low).max()), 1e-9) / 1023
     return stable_order(interleaved(((population.position - low) / width).astype(np.uint64), threads))
@@ -196,8 +197,8 @@ _LAST = PHASES[-1][0]
 
 
 def step(world: World) -> None:
-    """Go on by one frame. Raises FaultStop after a whole step in which a value was at fault, if the options say `stop`,
-    and LimitStop in the middle of one that would take more than the limits allow."""
+    """Advance by one frame. Raises FaultStop after a complete step with a fault, if the options say `stop`. Raises LimitStop in
+    the middle of a step that would exceed the limits."""
     if is_standard():
         _step(world)
         return

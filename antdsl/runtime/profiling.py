@@ -1,5 +1,5 @@
-"""What a run spends its time on: phases, the layers of each species, lines of the programs. Off unless somebody holds a Meter,
-and no result changes by it."""
+"""Measures the time of a run by phases, layers of each species and program lines. It is off unless a caller holds a Meter, and no
+result depends on it."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _COMMENT = re.compile(r'("[^"]*")|#.*')
 
 @dataclass(frozen=True, slots=True)
 class LayerTime:
-    """A layer with all that was worked out for it, whatever file that stands in."""
+    """The time of a layer, with everything that was computed for it, in whatever file."""
 
     species: str
     span: Span
@@ -31,7 +31,7 @@ class LayerTime:
 
 @dataclass(frozen=True, slots=True)
 class LineTime:
-    """A line with what stands in it; what it calls counts for its own lines. `text` is without indent and comment."""
+    """A line and its content. The time of what it calls counts for the lines called. `text` has no indent and no comment."""
 
     file: str
     line: int
@@ -41,12 +41,11 @@ class LineTime:
 
 @dataclass(frozen=True, slots=True)
 class Profile:
-    """Milliseconds a frame, over `frames` frames: what passed, and for the phases what processors `worked`.
+    """Milliseconds per frame, over `frames` frames: wall time, and for the phases also the CPU time, `worked`.
 
-    `lines` have the dearest first. They add up to less than the phases, as what is done for all agents at once (grids of
-    neighbours, settling claims, moving) is of no line. `by`: how many frames each has run that runs lines, those
-    that NumPy ran before machine code too, which nothing else here tells of; none of the reference backend, which tells of no
-    lines."""
+    `lines` begin with the most expensive. They add up to less than the phases, because work for all agents at once (neighbour
+    grids, claims, moving) belongs to no line. `by`: the number of frames of each backend that reports lines. This includes frames
+    that NumPy ran before machine code was ready, which no other value covers. The reference backend reports no lines."""
 
     frames: int = 0
     total: float = 0.0
@@ -59,7 +58,7 @@ class Profile:
 
 @dataclass(slots=True)
 class _Measured:
-    """Seconds of so many steps: by phase, and for each call of each block."""
+    """Seconds of `steps` steps: by phase, and for each call of each block."""
 
     steps: int
     at: float
@@ -79,9 +78,10 @@ class _Measured:
 
 
 class Meter:
-    """Averages over the frames of the last `seconds`, or over all of them (None). Call `begin` before a step and `end` after it;
-    the world may be another each time. What was measured of another program is forgotten, and of steps that NumPy ran once
-    machine code runs them."""
+    """Averages over the frames of the last `seconds`, or over all of them (None).
+
+    Call `begin` before a step and `end` after it; each time the world may be a different one. Measurements of another program are
+    dropped. Those of steps by NumPy are dropped when machine code runs them."""
 
     def __init__(self, seconds: float | None = 1.0, *, clock: Callable[[], float] = monotonic) -> None:
         self._seconds, self._clock = seconds, clock
@@ -138,7 +138,7 @@ class Meter:
         self._world = None
 
     def profile(self) -> Profile:
-        """What was measured; nothing before the first step."""
+        """Return what was measured; empty before the first step."""
         if not self._measured or self._plan is None:
             return Profile()
         whole = _Measured(0, 0.0, {}, {}, {})
@@ -156,7 +156,7 @@ class Meter:
             yield from zip(self._instructions[key], times, strict=True)
 
     def _layers(self, plan: Plan, whole: _Measured, to_ms: float) -> tuple[LayerTime, ...]:
-        """All layers in their order, also those that nobody came to."""
+        """Return all layers in order, also those that no agent reached."""
         found: list[LayerTime] = []
         for name, species in plan.species.items():
             spent = [0.0] * len(species.layers)
@@ -177,7 +177,8 @@ def _layer(species: str, layer: LayerPlan, ms: float) -> LayerTime:
 
 
 def _lines(spent: Iterator[tuple[Instruction, float]], to_ms: float) -> list[LineTime]:
-    """The calls by the line in which their text begins. A file is known by its name: parts of it are read more than once."""
+    """Return the calls by the line in which their text begins. Files are compared by name, because parts of a file are read more
+    than once."""
     found: dict[tuple[str, int], float] = {}
     texts: dict[tuple[str, int], str] = {}
     for instruction, seconds in spent:

@@ -1,7 +1,6 @@
-"""What the blocks of one step ask of the rest of the world. A backend fills an `Effects`; the phases apply it afterwards.
+"""Requests of the blocks of one step to the rest of the world. A backend fills an `Effects`; the phases apply it afterwards.
 
-Every entry holds the rows of one statement in one chunk; applying them in another order gives the same bits.
-"""
+Every entry holds the rows of one statement in one chunk. Applying them in another order gives the same bits."""
 
 from __future__ import annotations
 
@@ -28,7 +27,7 @@ class ClaimEntry:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class GiveEntry:
-    """`amount` float64 is what the agents' own registers have lost already."""
+    """`amount` float64: what the agents' own registers have already lost."""
 
     statement: ir.Give
     item: NDArray[np.int32]
@@ -37,7 +36,7 @@ class GiveEntry:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Asked:
-    """What some agents ask for by one request: its operands, a value for each row, None for one that is absent."""
+    """One request of some agents: its operands, each with a value per row, None for an absent one."""
 
     request: ir.Request
     order: int  # place of the statement in the text of its species
@@ -53,7 +52,7 @@ class Asked:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FaultEntry:
-    """A value that is not finite: where it was met, by whom, and in which block (to run it again slowly)."""
+    """A value that is not finite: its location, its agents, and the block (to run it again slowly)."""
 
     block: str
     register: str
@@ -63,7 +62,7 @@ class FaultEntry:
 
 @dataclass(slots=True, eq=False)
 class Effects:
-    """All that the agents of one species ask for in one step."""
+    """All requests of the agents of one species in one step."""
 
     claims: list[ClaimEntry] = field(default_factory=list)
     gives: list[GiveEntry] = field(default_factory=list)
@@ -72,7 +71,7 @@ class Effects:
 
     @property
     def open(self) -> bool:
-        """Whether something that was asked, claimed or given waits to be settled."""
+        """Return whether a request, claim or gift still has to be settled."""
         return bool(self.asked or self.claims or self.gives)
 
     def ask(self, entry: Asked) -> None:

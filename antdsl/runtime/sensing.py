@@ -1,8 +1,7 @@
-"""What an agent can sense of the world, one function an operation of the plan, for any number of rows at once.
+"""What an agent can sense of the world: one function per operation of the plan, for any number of rows at once.
 
-Both backends ask here for draws, rays, fields, curves, items and other agents; how sets are found and reduced is their own.
-Arguments are arrays of one length with the rows, or single values; results are arrays of that length.
-"""
+Both backends use it for draws, rays, fields, curves, items and other agents; each finds and reduces sets in its own way.
+Arguments are arrays of one length, with the rows, or single values. Results are arrays of that length."""
 
 from __future__ import annotations
 
@@ -158,8 +157,8 @@ def _ray(world: World, population: Population, node: ir.Node, rows: Rows, dx: Va
 
 
 def _rays(world: World, population: Population, node: ir.Node, rows: Rows, asks: Sequence[Ask]) -> None:
-    """What feelers of n `rows` touch. Operands: directions (x y z) of any length and how far they reach, float32[n] each;
-    results, `NO_HIT` until then: whether, the distance (mm) and the normal (x y z)."""
+    """Compute what feelers of n `rows` touch. Operands: directions (x y z) of any length and the reach, float32[n] each. Results,
+    initially `NO_HIT`: whether they hit, the distance (mm) and the normal (x y z)."""
     name, start = node.attrs[0], population.start
     place = start["position.x"][rows], start["position.y"][rows], start["position.z"][rows]
     clear = clearance(world, population, name)
@@ -178,8 +177,8 @@ def _rays(world: World, population: Population, node: ir.Node, rows: Rows, asks:
 def _feel(
     scene: Obstacle, places: Arrays, left: Sequence[tuple[int, NDArray[np.intp]]], asks: Sequence[Ask], threads: int
 ) -> None:
-    """The same of a scene for those who have still to ask, by what answers to all rays, at once: `left` and `places` are as
-    `Obstacle.felt` gives and takes them."""
+    """Do the same for the remaining feelers with a scene, all rays at once. `left` and `places`: as `Obstacle.felt` returns and
+    takes them."""
     *place, clear = places
     row = np.concatenate([rows for _, rows in left])
     whose = np.repeat([each for each, _ in left], [len(rows) for _, rows in left])
@@ -212,7 +211,8 @@ def _field_value(world: World, population: Population, node: ir.Node, rows: Rows
 
 
 def _field_ahead(world: World, population: Population, node: ir.Node, rows: Rows, ahead: Value, turn: Value) -> Value:
-    """`turn` is to the left of the heading, which lies along the ground that the feet are on, as `up` is its normal there."""
+    """Read a field ahead. `turn` is to the left of the heading, which lies along the ground below the feet; `up` is its normal
+    there."""
     up = vec.columns(population.normal[rows], np.float32)
     heading = vec.take(vec.named(population.start, "heading"), rows)
     ahead, turn = (_spread(each, rows) for each in (ahead, turn))
@@ -239,8 +239,10 @@ def _field_ahead(world: World, population: Population, node: ir.Node, rows: Rows
 
 
 def _within(world: World, moved: Move) -> tuple[Footing, NDArray[np.float64]]:
-    """Where ways end, those that an open border ends a hair within the face: on the border itself, where that lies between two
-    cells, one side of a strip would be read in its own cells and the other in those beside the surface."""
+    """Return where paths end, moved slightly inside the face if they end at an open border.
+
+    A border may lie between two cells. Exactly on it, one side of a strip would read its own cells and the other the cells
+    outside the surface."""
     meshes = world.ground.meshes
     if meshes is None or not moved.blocked.any():
         return moved.footing, moved.position
@@ -291,7 +293,7 @@ def _map_value(world: World, population: Population, node: ir.Node, rows: Rows) 
 
 
 def _noise(world: World, population: Population, node: ir.Node, rows: Rows, *how: Value) -> Value:
-    """`how`: scale, seed and period. The place is that in the scene's own axes, the time that of the step."""
+    """Return noise. `how`: scale, seed and period. The position is in the scene's own axes, the time is that of the step."""
     scale, seed, period = (np.float64(1) * _spread(each, rows) for each in how)
     place = np.stack(_place(world, population, rows)).astype(np.float64) + world.origin[:, None]
     moment = np.full((1, _size(rows)), world.shown * world.dt)
@@ -306,7 +308,7 @@ def _numbered(rows: Rows) -> NDArray[np.intp]:
 
 
 def _clear_velocity(world: World, population: Population, node: ir.Node, rows: Rows, *how: Value) -> Value:
-    """`how`: the wish x y z, within, horizon and the most others."""
+    """Return a collision-free velocity. `how`: the wish x y z, `within`, `horizon` and the largest number of others."""
     which = _numbered(rows)
     wx, wy, wz, *rest = (_spread(each, rows) for each in how)
     within, horizon, most = (np.float64(1) * each for each in rest)
@@ -323,7 +325,7 @@ def _clip_value(world: World, population: Population, node: ir.Node, rows: Rows,
 
 
 def _contact(world: World, population: Population, node: ir.Node, rows: Rows, *touched: Value) -> Value:
-    """`touched`: ids of those whom the agent touched until now."""
+    """Return the new contact and the touched ids. `touched`: ids of the agents touched until now."""
     known = np.stack([np.asarray(_spread(each, rows), np.int64) for each in touched], axis=1)
     whom, known = contact(world, population, node.attrs[0], _numbered(rows), known)
     return whom, *(np.ascontiguousarray(ids) for ids in known.T)

@@ -1,8 +1,7 @@
-"""The only thing that changes: agents, items and fields of a running simulation, as arrays.
+"""The only mutable data: agents, items and fields of a running simulation, as arrays.
 
-Registers are one array each, float32 unless the plan says otherwise; positions are kept in float64 as well.
-`start` holds what everybody sees of the step before, `now` what an agent has written in this one.
-"""
+Registers are one array each, float32 unless the plan says otherwise; positions are also stored in float64. `start` holds what all
+agents see of the previous step, `now` what an agent has written in this one."""
 
 from __future__ import annotations
 
@@ -42,17 +41,17 @@ DTYPES: Mapping[ir.Kind, type[np.generic]] = {
     ir.Kind.F32: np.float32, ir.Kind.BOOL: np.bool_, ir.Kind.I32: np.int32, ir.Kind.I64: np.int64,
 }  # fmt: skip
 AXES = ("x", "y", "z")
-PUSHED = "moved"  # mm, by contacts in one step; a register of those whose program asks
+PUSHED = "moved"  # mm, by contacts in one step; a register of species with a program that reads it
 MOVED = tuple(f"{name}.{axis}" for name in ("position", "velocity", "heading", "up") for axis in AXES)
 
 
 @dataclass(frozen=True, slots=True)
 class Options:
-    """How to run; nothing here changes a result, only `on_fault` says what follows a fault.
+    """How to run. No option changes a result; only `on_fault` decides what follows a fault.
 
-    `shuffle_rows` puts the agents into rows in a random order; `chunk` is the number of rows worked on at once.
-    `wait_for_code`: with the native backend, the first step waits for machine code, instead of running in NumPy until it is
-    there. `feet`: where bodies have legs and gaits, it is worked out where their feet are."""
+    `shuffle_rows`: put the agents into rows in a random order. `chunk`: the number of rows processed at once. `wait_for_code`:
+    with the native backend, the first step waits for machine code, instead of running in NumPy until it is ready. `feet`: where
+    bodies have legs and gaits, the positions of their feet are computed."""
 
     backend: Literal["numpy", "native", "reference"] = "native"
     chunk: int = 16_384
@@ -65,7 +64,8 @@ class Options:
 
 @dataclass(slots=True, eq=False)
 class Items:
-    """Items of one name. `amounts` float64 hold what is conserved; `seen` float32 is what agents read, as of the step's start."""
+    """Items of one name. `amounts` float64 are the conserved amounts; `seen` float32 is what agents read, as of the step's
+    start."""
 
     name: str
     names: tuple[str, ...]
@@ -77,7 +77,7 @@ class Items:
         return len(self.names)
 
     def show(self) -> None:
-        """Let the agents see the amounts as they are now."""
+        """Make the current amounts visible to agents."""
         for name, amount in self.amounts.items():
             np.copyto(self.seen[name], amount, casting="same_kind")
 
@@ -97,7 +97,7 @@ class Population:
     events: dict[str, NDArray[np.bool_]]
     raised: dict[str, NDArray[np.bool_]]  # to be seen in the next step
     cells: dict[str, NDArray[np.int32]] = field(default_factory=dict)  # field -> own cell
-    voxels: dict[str, Known | None] = field(default_factory=dict)  # field -> what its cells were found by, whoever the rows are
+    voxels: dict[str, Known | None] = field(default_factory=dict)  # field -> the lookup data of its cells, independent of rows
     effects: Effects = field(default_factory=Effects)
     all_taken: dict[str, NDArray[np.float64]] = field(default_factory=dict)  # by site: what claims for all gave in this step
     version: int = 0  # changes whenever rows do
@@ -131,7 +131,7 @@ class Population:
         self._zeros.copy(list(map(self.now.__getitem__, zeros_of)), list(zeros_of.values()), threads)
 
     def room(self, name: str, count: int, shape: tuple[int, ...], dtype: type[np.generic]) -> tuple[NDArray[Any], ...]:
-        """So many arrays for what one step works out, kept for the next one, which writes over them."""
+        """Return `count` arrays for results of a step, retained for the next step, which overwrites them."""
         found = self.rooms.get(name)
         if found is None or found[0].shape != shape:
             found = self.rooms[name] = tuple(np.empty(shape, dtype) for _ in range(count))
@@ -145,7 +145,7 @@ class Population:
         return len(self.ids)
 
     def sorted_ids(self) -> tuple[NDArray[np.int64], NDArray[np.intp]]:
-        """Ids in ascending order, and their rows. Nobody writes into either."""
+        """Return ids in ascending order, and their rows. Both arrays are read-only for callers."""
         if self._rows is None or self._rows[0] != self.version:
             order = stable_order(self.ids)
             self._rows = (self.version, self.ids[order], order)
@@ -172,7 +172,7 @@ class Population:
         return self._ranks[1]
 
     def nth_id(self, share: NDArray[np.uint64]) -> NDArray[np.int64]:
-        """Of the living, evenly, for a 32-bit random word each; -1 when none lives."""
+        """Return the id of a living agent for each 32-bit random word, evenly distributed; -1 if none lives."""
         known, _ = self.sorted_ids()
         if not len(known):
             return np.full(np.shape(share), -1, np.int64)
@@ -186,9 +186,10 @@ class Population:
 
 @dataclass(frozen=True, slots=True)
 class Crowded:
-    """A line of the scene's crowd (by its number) whose place has no room for all: `fit` of `count` stand clear of all others.
-    `radius`: the least and the greatest (mm); `cover`: what all would cover, `area`: what there is (mm²; None: not known);
-    `larger`: of a place with a radius (mm) where all would find room, `sides`: whether they would by area. None: nowhere."""
+    """A line of the scene's crowd (by its number) with a place that has no space for all: `fit` of `count` are clear of all
+    others. `radius`: the least and the greatest (mm). `cover`: the area that all would cover; `area`: the available one (mm²;
+    None: not known). `larger`: for a place with a radius, the radius (mm) with space for all, None if there is none. `sides`:
+    whether all would fit with `by: area`."""
 
     group: int
     species: str
@@ -205,19 +206,19 @@ class Backend(Protocol):
     """What runs the blocks of a plan; see `backends`."""
 
     def begin(self, world: World) -> None:
-        """A step begins: what was kept of the last one is forgotten."""
+        """Begin a step: drop data cached for the last one."""
 
     def run(self, world: World, population: Population, block: str, rows: NDArray[np.intp] | None = None) -> None:
         """Runs a block for some agents, all when None."""
 
     def told(self) -> list[str]:
-        """Sentences for the user on what is otherwise than asked; none of it changes a result."""
+        """Return sentences for the user about what differs from the request; none of it changes a result."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Emitted:
-    """Agents that emitted an event: whose species (by name) and id, which event of all that are heard (by name), where it stood
-    (k, 3) mm and the normal of its ground there."""
+    """Agents that emitted an event: species (by name) and id, the event's name among all that are handled, position (k, 3) mm and
+    ground normal there."""
 
     species: NDArray[np.int16]
     id: NDArray[np.int64]
@@ -228,8 +229,10 @@ class Emitted:
 
 @dataclass(slots=True, eq=False)
 class World:
-    """A bound plan under way. `frame` is the number of the frame that stands, and within a step that of the frame it began from;
-    `origin` (mm) was taken from all positions at binding, so that float32 loses nothing far from the scene's zero."""
+    """A bound plan during a run.
+
+    `frame`: the number of the current frame; within a step, of the frame that it began from. `origin` (mm) was subtracted from
+    all positions at binding, so that float32 stays precise far from the scene's zero."""
 
     plan: ir.Plan
     setting: Setting
@@ -257,15 +260,15 @@ class World:
     grids: dict[tuple[str, float], CellGrid] = field(default_factory=dict)  # of this step
     trees: dict[str, Any] = field(default_factory=dict)  # of this step, by species: k-d trees of all
     clearances: dict[tuple[str, str, int], NDArray[Any]] = field(default_factory=dict)  # of this step
-    touching: dict[tuple[str, str], Touching] | None = None  # of this step, by both species; None: nobody has asked
+    touching: dict[tuple[str, str], Touching] | None = None  # of this step, by both species; None: not computed yet
     transitions: dict[str, int] = field(default_factory=dict)
-    carved: dict[str, list[NDArray[np.float64]]] | None = None  # balls (k, 4) since the last hand-over; None: nobody asks
-    emitted: list[Emitted] | None = None  # since the last hand-over; None: nobody asks
+    carved: dict[str, list[NDArray[np.float64]]] | None = None  # balls (k, 4) since the last retrieval; None: not recorded
+    emitted: list[Emitted] | None = None  # since the last retrieval; None: not recorded
     spec_values: dict[str, np.float32] = field(default_factory=dict)  # numbers about wholes that a spec asks for, by name
     detail: Detail | None = None
     crowded: list[Crowded] = field(default_factory=list)  # lines of the crowd that found no room for all
     watchers: list[Callable[[World], None]] = field(default_factory=list)  # called in each step once all have acted
-    feet: dict[str, Feet] = field(default_factory=dict)  # by species; of whom it is worked out
+    feet: dict[str, Feet] = field(default_factory=dict)  # by species; only those with computed feet
     walkers: dict[str, Walkers] = field(default_factory=dict)  # how they walk
     floor: Floor | None = None  # what they walk on
     stepping: bool = False  # between the first and the last phase of a step
@@ -276,7 +279,7 @@ class World:
 
     @property
     def shown(self) -> int:
-        """The frame in which what is worked out now is seen: the one that a step under way makes, else the one that stands."""
+        """Return the frame that current computations belong to: that of the step in progress, else the current one."""
         return self.frame + self.stepping
 
     def __len__(self) -> int:
@@ -301,7 +304,8 @@ def stored_registers(plan: ir.SpeciesPlan) -> frozenset[str]:
 
 
 def shares_start(plan: ir.SpeciesPlan, register: str, stored: frozenset[str]) -> bool:
-    """Whether one array will do for a register at the start of a step and now: it never changes, or is of this step only."""
+    """Return whether a register can use one array for the start of a step and for now: it never changes, or only exists in this
+    step."""
     return register not in stored or plan.registers[register].role == "temp"
 
 
@@ -332,8 +336,8 @@ def select_rows(population: Population, rows: NDArray[np.intp]) -> None:
 
 
 def begin_anew(population: Population, threads: int, rows: NDArray[np.intp] | None = None) -> None:
-    """What has been written becomes what everybody sees; with `rows`, a permutation, in another order. Registers stay in their
-    arrays, unless one array does for the start of a step and now."""
+    """Make the written state the one that all agents see; with `rows`, a permutation, in another order. Registers stay in their
+    arrays, unless one array serves as both `start` and `now`."""
     start, now = population.start, population.now
     if rows is not None:
         _pick(population, rows)
@@ -351,7 +355,7 @@ def begin_anew(population: Population, threads: int, rows: NDArray[np.intp] | No
 
 
 def _pick(population: Population, rows: NDArray[np.intp]) -> None:
-    """These rows of all but the registers, in this order."""
+    """Reorder everything but the registers to these rows."""
     population.reordered = (population.ids, rows)
     population.ids, population.born = population.ids.take(rows), population.born.take(rows)
     population.quarantined, population.position = population.quarantined.take(rows), _picked(population.position, rows)
@@ -373,7 +377,7 @@ def _picked(vectors: NDArray[Any], rows: NDArray[np.intp]) -> NDArray[Any]:
 def add_rows(
     population: Population, ids: NDArray[np.int64], frame: int, position: NDArray[np.float64], footing: Footing
 ) -> slice:
-    """Append agents with every register at its zero; gives their rows."""
+    """Append agents with all registers zero; return their rows."""
     old, count = len(population), len(ids)
     population.ids = np.concatenate([population.ids, ids])
     population.born = np.concatenate([population.born, np.full(count, frame, np.int64)])
@@ -391,7 +395,7 @@ def add_rows(
 
 
 def _remake(population: Population, change: Callable[[NDArray[Any], str], NDArray[Any]]) -> None:
-    """Change every register array; those that share one array at start and now still do."""
+    """Change every register array. Registers that share one array for start and now still do so."""
     for name, array in population.now.items():
         shared = population.start[name] is array
         population.now[name] = change(array, name)

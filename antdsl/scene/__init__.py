@@ -1,8 +1,8 @@
 """A scene: real geometry and numbers for a program. `load.load` reads one.
 
-`document` reads YAML with a place for every value, `inheritance` joins what a scene extends, `model` types it, `matching`
-holds it against a program, `staging` reads its files (`geometry`) and gives the `Setting`: all that the run time gets, in mm,
-seconds and the scene's own axes. `paths` is the one door to files that a scene or a program names."""
+`document` reads YAML with a location for every value, `inheritance` merges what a scene extends, and `model` gives it types.
+`matching` checks it against a program. `staging` reads its files (`geometry`) and returns the `Setting`: the complete input of
+the run time, in mm, seconds and the scene's own axes. `paths` is the one interface to files that a scene or a program names."""
 
 from __future__ import annotations
 

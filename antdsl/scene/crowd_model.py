@@ -1,4 +1,4 @@
-"""What a line of a scene's crowd may say: who, how many, where they begin, and a way that they are led."""
+"""Contents of a line of a scene's crowd: species, count, starting places, and an optional walk."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ By = Annotated[str, BeforeValidator(one_of("above", "area"))]
 
 
 class UsdPlaces(Part):
-    """Places of a USD file: the points or empties below a prim, or all empties of a kind, by itself the species' name."""
+    """Positions from a USD file: the points or empties below a prim, or all empties of a kind (default: the species' name)."""
 
     usd: FilePath
     prim: Word | None = None
@@ -47,10 +47,10 @@ def _file_or_usd(value: Any) -> str:
 
 
 class Placement(Part):
-    """Where a crowd begins: scattered on a surface (all of it, by the `density` that a map paints, or within `radius` of a point
-    or an item, by itself of the scene's origin), at given points, or where lines from a point or an item end, `inside`
-    of something. `by` says whether they are dropped onto it from above or spread over its area, undersides too. `apart`: how
-    far from each other at least, or as `even` as there is room for. `seed` takes the place of the scene's."""
+    """Where a crowd begins. It is scattered on a surface, at given points, where lines from a point or an item end, or `inside`
+    something. Scattering covers all of the surface, by the `density` that a map paints, or within `radius` of a point or an item
+    (default: the scene's origin). `by`: whether agents are dropped onto it from above or spread over its area, undersides
+    included. `apart`: least distance from each other, or as `even` as space allows. `seed` replaces the scene's."""
 
     on: Name | None = None
     inside: PointOrName | None = None
@@ -67,8 +67,8 @@ class Placement(Part):
 
 
 class Walk(Part):
-    """A way that agents are led instead of deciding for themselves: in a direction of the scene's axes, at one speed, and when
-    they have gone so far they stand."""
+    """A walk that replaces the decisions of agents: along a direction of the scene's axes, at one speed, for a given length; then
+    they stand."""
 
     direction: tuple[Along, Along, Along]
     speed: PositiveSpeed
@@ -76,7 +76,7 @@ class Walk(Part):
 
 
 class AnyOf(Part):
-    """One of several layers, or `none`, for each agent by chance; a layer that is named twice comes twice as often."""
+    """One of several layers, or `none`, drawn for each agent. A layer that is listed twice is twice as likely."""
 
     any: Annotated[tuple[Name, ...], Field(min_length=1, max_length=limits.LAYERS_WORN)]
 
@@ -89,8 +89,8 @@ Worn = Annotated[Annotated[Name, Tag("layer")] | Annotated[AnyOf, Tag("any")], D
 
 
 class CrowdLine(Part):
-    """Agents of one species. `body` is what pictures draw, a word or a file of an agent definition; by itself it goes by the
-    species' name. `wear`: layers of the body that they show beside its own."""
+    """Agents of one species. `body`: what pictures draw, a word or a file of an agent definition; by default it depends on the
+    species' name. `wear`: additional layers of the body that they show."""
 
     species: Name
     source: FilePath = Field(alias="from")
@@ -101,6 +101,6 @@ class CrowdLine(Part):
     wear: Annotated[tuple[Worn, ...], Field(max_length=limits.LAYERS_WORN)] = ()
 
     def layers(self) -> tuple[tuple[str, ...], ...]:
-        """What they wear: for each part the layers of which an agent has one, "" for none."""
+        """Return what the agents wear: for each part the layers of which an agent has one, "" for none."""
         chosen = (each.any if isinstance(each, AnyOf) else (each,) for each in self.wear)
         return tuple(tuple("" if name == NONE else name for name in names) for names in chosen)

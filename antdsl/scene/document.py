@@ -1,5 +1,5 @@
-"""Text of a scene to a tree of plain mappings, sequences and scalars, each with its place: YAML without tags, anchors, aliases,
-merges or duplicate keys. Scalars stay text: what `no`, `1:30` or `010` mean is for the schema to say."""
+"""Parser from a scene's text to a tree of plain mappings, sequences and scalars, each with its location. It reads YAML without
+tags, anchors, aliases, merges or duplicate keys. Scalars stay text: the schema decides what `no`, `1:30` or `010` mean."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ class SequenceNode:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MappingNode:
-    """`entries` keeps the order of the text; `keys` has the place of each key."""
+    """A mapping. `entries` are in the order of the text; `keys` has the location of each key."""
 
     entries: dict[str, Node]
     keys: dict[str, Span]
@@ -52,10 +52,10 @@ def plain(node: Node) -> Any:
 
 
 def find(node: Node, path: Sequence[Key], *, key: bool = False) -> tuple[Span, tuple[Key, ...]]:
-    """The place of what a path of keys leads to (of its last key if `key`), or of the nearest thing above it, and the path
-    so far.
+    """Return the location of what a path of keys leads to (of its last key if `key`), or of its nearest existing ancestor, and
+    the path up to there.
 
-    Parts of the path that are not in the tree, such as a schema's own tags, are passed over."""
+    Parts of the path that are not in the tree, such as a schema's own tags, are skipped."""
     span, walked = node.span, ()  # type: tuple[Span, tuple[Key, ...]]
     for part in path:
         if isinstance(node, MappingNode) and isinstance(part, str) and part in node.entries:
@@ -71,7 +71,7 @@ def find(node: Node, path: Sequence[Key], *, key: bool = False) -> tuple[Span, t
 
 
 class _Refused(Exception):
-    """Reading cannot go on; the complaint is in the report already."""
+    """Reading cannot continue; the error is already in the report."""
 
 
 # Characters that look like a blank or like nothing; YAML takes them for letters. Joiners belong to the spelling of words.
@@ -81,7 +81,8 @@ _FORBIDDEN = re.compile("[\x00-\x08\x0b\x0c\x0e-\x1f\x7f-\x9f\u2028\u2029\u202a-
 
 
 def decode(data: bytes, name: str, what: str = "a scene") -> tuple[Source, Report]:
-    """Bytes of a file of text as a Source; a byte order mark is dropped, anything but UTF-8 is refused. `what` it is to be."""
+    """Return a text file's bytes as a Source. A byte order mark is dropped; anything but UTF-8 is an error. `what`: the kind of
+    file, for messages."""
     report = Report()
     if data[:2] in (b"\xff\xfe", b"\xfe\xff"):
         source = Source(name, "")
@@ -106,7 +107,7 @@ def decode(data: bytes, name: str, what: str = "a scene") -> tuple[Source, Repor
 
 
 def read_document(source: Source) -> tuple[MappingNode | None, Report]:
-    """The tree of a scene's text, or None when there is none to speak of."""
+    """Return the tree of a scene's text, or None if there is no usable one."""
     reader = _Reader(source)
     try:
         root = reader.read()
@@ -117,7 +118,7 @@ def read_document(source: Source) -> tuple[MappingNode | None, Report]:
 
 @dataclass(slots=True)
 class _Open:
-    """A mapping or sequence whose end has not come yet."""
+    """A mapping or sequence that has not ended yet."""
 
     start: int
     mapping: bool
@@ -163,7 +164,7 @@ class _Reader:
         return self.refuse("too-large", f"values lie more than {limits.YAML_DEPTH} deep in each other", span)
 
     def odd_blank(self, match: re.Match[str]) -> None:
-        """Report the first character that looks like a blank and is none."""
+        """Report the first character that looks like a blank and is not one."""
         import unicodedata
 
         character = match[0]
@@ -208,7 +209,7 @@ class _Reader:
         return self.refuse("scene-syntax", f"cannot read the scene here: {words}", place, help, *labels)
 
     def better(self, problem: Any, start: int) -> Diagnostic | None:
-        """What can be said more exactly of a line that YAML stumbles over."""
+        """Return a more precise message for a line that is a YAML error, or None."""
         if str(getattr(problem, "context", "")).startswith("while parsing a flow"):
             return None
         begun = getattr(problem, "context_mark", None)
@@ -219,8 +220,8 @@ class _Reader:
         return indented_otherwise(self.source, start) or without_colon(self.source, start)
 
     def consume(self, yaml: Any, events: Any) -> Node | None:
-        """Build the tree from the stream of events with a stack of our own, so that depth and number are known before they
-        cost."""
+        """Build the tree from the stream of events with an explicit stack, so that depth and size are checked before they become
+        expensive."""
         stack: list[_Open] = []
         root: Node | None = None
         count = documents = 0

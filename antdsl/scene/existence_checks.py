@@ -19,7 +19,7 @@ _MEANT = re.compile(r"did you mean `([^`]+)`\?")
 
 
 def bodies(scene: Scene, program: Program, report: Report) -> None:
-    """Complains of each line of the crowd whose body cannot be had."""
+    """Report each crowd line with a body that cannot be used."""
     first: dict[str, int] = {}
     for number, line in enumerate(scene.model.crowd):
         if line.body is None:
@@ -44,7 +44,7 @@ def bodies(scene: Scene, program: Program, report: Report) -> None:
 
 
 def absent_species(scene: Scene, program: Program, report: Report) -> None:
-    """Complain about species whom agents look for, or collide with, and nobody says what they are."""
+    """Report species that agents look for, or collide with, but that nothing defines."""
     absent = [name for name, thing in program.world.items() if thing.kind == "species" and name not in program.species]
     if not absent:
         return
@@ -61,8 +61,7 @@ def absent_species(scene: Scene, program: Program, report: Report) -> None:
 
 
 def spec_scenes(program: Program | None, grants: Mapping[str, Path] | None = None) -> Report:
-    """Complaints about scenes that specs name and that are not there, one for each with all its places. The files are not
-    read."""
+    """Report scenes that specs name and that do not exist, once for each with all its locations. The files are not read."""
     report = Report()
     specs = program.specs if program else ()
     named = (text for spec in specs for text in (spec.scene, spec.against.scene if spec.against else None))

@@ -26,18 +26,18 @@ _DIMS = {
 
 
 def dimension(program: Program, name: str) -> Dim | None:
-    """What a setting of a field is measured in; None when the name is none."""
+    """Return the dimension of a field's setting; None if there is no setting of this name."""
     field, _, word = name.partition(".")
     return _DIMS.get(word) if field in program.fields and name not in program.params else None
 
 
 def settable(program: Program) -> list[str]:
-    """The names of all settings of fields that can be given another value."""
+    """Return the names of all field settings that can be set to another value."""
     return [f"{field}.{word}" for field in program.fields for word in _DIMS]
 
 
 def refused(name: str, value: Quantity) -> str:
-    """Why a setting cannot have this value: what to write instead; nothing when it can."""
+    """Return what to write instead of a value that is an error for a setting; empty if the value is valid."""
     word = name.partition(".")[2]
     if word == "keeps" and (value.step != -1 or not 0 <= value.number <= 1):
         return "write a share from `0 %/step` to `100 %/step`"
@@ -48,7 +48,7 @@ def refused(name: str, value: Quantity) -> str:
 
 
 def with_fields(program: Program, scene: Scene, values: Mapping[str, Quantity]) -> Program:
-    """The program with these settings of its fields; names that are none are left alone."""
+    """Return the program with these settings of its fields. Unknown names are ignored."""
     fields = dict(program.fields)
     for name, value in values.items():
         dim = dimension(program, name)
@@ -62,13 +62,14 @@ def with_fields(program: Program, scene: Scene, values: Mapping[str, Quantity]) 
 
 
 def with_field(field: Field, word: str, value: Expr) -> Field:
-    """A field with another value of one setting; of the ways to fade there is one."""
+    """Return a field with another value of one setting. Setting one way to fade removes the others."""
     values: dict[str, Any] = dict.fromkeys(FADING) if word in FADING else {}
     return replace(field, **{**values, word: value})
 
 
 def largest_stable_diffusion(cell: float, dt: float) -> float:
-    """The most diffusion (mm²/s) at which scent in cells of `cell` mm never swings or goes below 0 in steps of `dt` s."""
+    """Return the largest diffusion (mm²/s) at which values in cells of `cell` mm neither oscillate nor become negative in steps
+    of `dt` s."""
     return cell * cell / (4.0 * dt)
 
 
@@ -95,7 +96,7 @@ def spreading(scene: Scene, program: Program, report: Report) -> None:
 
 
 def _base(scene: Scene, value: Expr | None) -> float | None:
-    """A constant setting in base units; None for none, or for one that follows from params."""
+    """Return a constant setting in base units; None if there is none, or if it depends on params."""
     found = constant_behind(value) if value is not None else None
     if found is None:
         return None

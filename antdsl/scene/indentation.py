@@ -1,5 +1,5 @@
-"""Where a scene's text is no YAML: the line that is indented otherwise than those it stands among, or lacks its colon, with what
-to write. YAML itself names the place where it could not go on, which is often a line or a word further."""
+"""Finds why a scene's text is not YAML: a line with an indent unlike its neighbours, or without its colon, and what to write.
+YAML itself only names the place where it could not continue, which is often a line or a word further."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _SHOWN = 40
 
 @dataclass(slots=True)
 class _Line:
-    """A line of a block: how far it is indented, its text without comment, and where that stands."""
+    """A line of a block: its indent, its text without comment, and the location of the text."""
 
     start: int
     indent: int
@@ -33,8 +33,7 @@ class _Line:
 
 @dataclass(slots=True)
 class _Level:
-    """Lines that stand below each other: how far they are indented, whether they are items of a list, the last of them and its
-    text from there on."""
+    """Lines at the same level: their indent, whether they are items of a list, the last line, and its remaining text."""
 
     indent: int
     dash: bool
@@ -44,15 +43,15 @@ class _Level:
 
 @dataclass(slots=True)
 class _Odd:
-    """A line that stands among no others, and those that it is nearest to."""
+    """A line that fits no level, and the level nearest to it."""
 
     line: _Line
     level: _Level
 
 
 def indented_otherwise(source: Source, stop: int) -> Diagnostic | None:
-    """The complaint about the first line, up to the one that `stop` is in, that is indented like none of those it could belong
-    to. Where all is well once the line before it is shifted instead, it is about that one."""
+    """Return the error about the first line, up to the one with `stop`, with an indent that fits none of the lines it could
+    belong to. If shifting the line before it solves the problem instead, the error is about that line."""
     odd = _first_odd(source.text, stop)
     if odd is None:
         return None
@@ -87,7 +86,7 @@ def _first_odd(text: str, stop: int | None = None) -> _Odd | None:
 
 
 def _enter(levels: list[_Level], line: _Line) -> bool:
-    """Takes a line in. Whether its last key has no value, so that a block may follow."""
+    """Add a line. Returns whether its last key has no value, so that a block may follow."""
     indent, text = line.indent, line.text
     while True:
         dash = text == "-" or text.startswith("- ")
@@ -107,7 +106,7 @@ def _enter(levels: list[_Level], line: _Line) -> bool:
 
 
 def _wanted(levels: list[_Level], line: _Line, opened: bool) -> _Level | None:
-    """The lines among which this one was to stand; None where it does."""
+    """Return the level to which this line should belong; None if its indent is right."""
     if not levels:
         return _Level(0, line.dash, None) if line.indent else None
     last = levels[-1]
@@ -120,7 +119,7 @@ def _wanted(levels: list[_Level], line: _Line, opened: bool) -> _Level | None:
 
 
 def _shifted(text: str, line: _Line, shift: int, *, alone: bool = False) -> tuple[int, int, str]:
-    """A line shifted, with all that hangs on it: the stretch of the text, and what is to stand there."""
+    """Shift a line with everything below it: return the range of the text and its replacement."""
     start = line.start - line.indent
     hangs = not alone and (shift < 0 or line.dash or line.text.endswith(":"))
     end = _below(text, line) if hangs else _end(text, line.start)
@@ -130,7 +129,7 @@ def _shifted(text: str, line: _Line, shift: int, *, alone: bool = False) -> tupl
 
 
 def _below(text: str, line: _Line) -> int:
-    """Where a line ends with all that is indented more below it."""
+    """Return the end of a line with all lines below it that are indented more."""
     last = _end(text, line.start)
     while last < len(text):
         stop = _end(text, last + 1)
@@ -153,7 +152,7 @@ def _end(text: str, start: int) -> int:
 
 
 def _lines(text: str, stop: int) -> Iterator[_Line]:
-    """The lines up to an offset that hold something and do not go on with a bracket, a text in quotes or a block of text."""
+    """Yield the non-empty lines up to an offset that do not continue a bracket, a quoted text or a block of text."""
     position, depth, quote, block = 0, 0, "", -1
     while position < len(text) and position <= stop:
         end = _end(text, position)
@@ -173,7 +172,7 @@ def _lines(text: str, stop: int) -> Iterator[_Line]:
 
 
 def _read(line: str, depth: int, quote: str) -> tuple[str, int, str]:
-    """A line without its comment, how many brackets are open at its end, and the quote that is."""
+    """Return a line without its comment, the number of open brackets at its end, and the open quote."""
     before = " "
     for place, character in enumerate(line):
         if quote:
@@ -191,7 +190,8 @@ def _read(line: str, depth: int, quote: str) -> tuple[str, int, str]:
 
 
 def without_colon(source: Source, start: int) -> Diagnostic | None:
-    """The complaint about a line such as `fps 24` or `fps:24`, at or above an offset, that was read on into the next."""
+    """Return the error about a line such as `fps 24` or `fps:24`, at or above an offset, that was read as continuing into the
+    next."""
     line, _ = source.line_column(start)
     for number in (line, line - 1):
         text = source.line_text(number)

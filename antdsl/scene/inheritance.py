@@ -1,5 +1,5 @@
-"""A scene that `extends` another: what it says itself goes before what the other says, mapping by mapping. Every value keeps its
-place in the file where it was written."""
+"""A scene that `extends` another: its own values override those of the other, mapping by mapping. Every value retains its
+location in its source file."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ _OWN = frozenset((KEY, "antdsl"))  # said by each file for itself
 def extended(
     document: MappingNode, name: str, roots: Roots, report: Report, texts: Mapping[Path, bytes] | None = None
 ) -> MappingNode | None:
-    """The tree with everything that comes from the scenes behind it, nearest first; None with errors in the report.
+    """Return the tree with everything from the scenes that it extends, nearest first; None with errors in the report.
 
-    A scene is looked for beside the one that names it, so that the paths of both mean the same. `texts` go before what is on
-    disk: scenes that are open in an editor."""
+    A scene is searched next to the one that names it, so that the paths of both mean the same. `texts` override files on disk:
+    scenes that are open in an editor."""
     seen = [name.replace("\\", "/").rsplit("/", 1)[-1]]
     behind = document
     while (node := behind.entries.get(KEY)) is not None:
@@ -74,7 +74,7 @@ def _read(
 
 
 def _over(own: MappingNode, other: MappingNode, apart: frozenset[str] = frozenset()) -> MappingNode:
-    """Mappings of both are put together, key by key; anything else of `own` replaces the other's. Keys `apart` are not taken."""
+    """Merge mappings of both, key by key; anything else of `own` replaces the other's. Keys in `apart` are not merged."""
     entries: dict[str, Node] = {key: value for key, value in other.entries.items() if key not in apart}
     keys: dict[str, Span] = {key: span for key, span in other.keys.items() if key not in apart}
     for key, value in own.entries.items():

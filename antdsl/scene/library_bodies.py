@@ -1,4 +1,4 @@
-"""The bodies that come with antdsl: their names, the room that each takes, and the species that each suits.
+"""The bodies that come with antdsl: their names, the size of each, and the species that each suits.
 
 They are data: `NAME.json` and `NAME.glb` in `antdsl/bodies/data`, and a row for each in `bodies.json` there."""
 
@@ -12,7 +12,7 @@ from antdsl import resources
 
 @dataclass(frozen=True, slots=True)
 class Capsule:
-    """The room that a trunk takes, without legs and feelers, in body lengths.
+    """The capsule of a trunk, without legs and feelers, in body lengths.
 
     It is `length` long and `width` wide along the heading. Its middle is `height` above the feet and `ahead` of them."""
 
@@ -29,5 +29,5 @@ _BODY_OF = [(word, name) for name, row in _ROWS.items() for word in row["species
 
 
 def body_of(species: str) -> str:
-    """Return the name of the body that suits a species by its name, an ant where no other does."""
+    """Return the name of the body that suits a species by its name; an ant if no other does."""
     return next((name for word, name in _BODY_OF if word in species.lower()), "ant")

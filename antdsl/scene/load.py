@@ -1,4 +1,4 @@
-"""Reads a scene: bytes, tree, models. Every complaint has its place in the text and says what to write instead."""
+"""Reads a scene: bytes, tree, models. Every error has its location in the text and says what to write instead."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ _TAGS = ("-thing", "-camera", "-here")  # of the models that a value may be of; 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Scene:
-    """A scene as it was written and typed, not yet matched with a program."""
+    """A scene as in the source, typed, not yet matched with a program."""
 
     model: SceneModel
     document: MappingNode
@@ -50,17 +50,17 @@ class Scene:
     roots: Roots
 
     def span(self, *path: Key, key: bool = False) -> Span:
-        """Where a value (or, with `key`, the key before it) stands in the text; the nearest thing above it if it is not there."""
+        """Return the location of a value (or, with `key`, of its key) in the text, or of its nearest existing ancestor."""
         return find(self.document, path, key=key)[0]
 
     def changed(self, **values: object) -> Scene:
-        """The same scene with other values for some keys; None leaves a key as it is."""
+        """Return the same scene with other values for some keys; None leaves a key unchanged."""
         wanted = {name: value for name, value in values.items() if value is not None}
         return replace(self, model=self.model.model_copy(update=wanted)) if wanted else self
 
     def digest(self) -> str:
-        """One number for the scene less what changes no result: output, a camera that no level of detail goes by, and the last
-        frame, so that a cache can be continued past it."""
+        """Return a digest of everything in the scene that affects results. It leaves out the output and a camera that no level of
+        detail uses. It also leaves out the last frame, so that a cache can be continued past it."""
         without = {"output", "frames", "extends"} | ({"camera"} if self.model.lod is None else set())
         kept = sorted(set(type(self.model).model_fields) - without)
         values = [(name, getattr(self.model, name)) for name in kept if name != "crowd"]
@@ -69,7 +69,7 @@ class Scene:
 
 
 def load(path: Path, grants: Mapping[str, Path] | None = None) -> tuple[Scene | None, Report]:
-    """Read and type a scene's file. Files that it names are not touched; its own folder and `grants` are where they may lie."""
+    """Read and type a scene's file. Files that it names are not accessed; they may only be in its own folder and `grants`."""
     try:
         data = read_named(path, limits.SCENE_BYTES)
     except PathRefused as refused:
@@ -80,7 +80,7 @@ def load(path: Path, grants: Mapping[str, Path] | None = None) -> tuple[Scene | 
 
 
 def load_text(data: bytes, name: str, roots: Roots, texts: Mapping[Path, bytes] | None = None) -> tuple[Scene | None, Report]:
-    """As `load`, from the bytes of a file; `texts` go before the files of scenes that it extends."""
+    """As `load`, from the bytes of a file. `texts` override the files of scenes that it extends."""
     source, report = decode(data, name)
     if not report.ok:
         return None, report
@@ -112,8 +112,8 @@ _WITH_LINES = frozenset(("world", "set", "fields", "layers", "camera", "lod", "o
 
 
 def _outside(document: MappingNode) -> dict[Key, Diagnostic]:
-    """Lines at the left edge that belong below the one before, which has no value: the complaint about the first of them, by the
-    keys about which nothing else is to be said."""
+    """Find lines at the left edge that belong below the previous key, which has no value. Returns the error about the first of
+    them, by the keys for which no other error is to be reported."""
     from antdsl.scene.model import SceneModel
 
     known = {field.alias or name for name, field in SceneModel.model_fields.items()}
@@ -137,8 +137,8 @@ def _outside(document: MappingNode) -> dict[Key, Diagnostic]:
 
 
 def _single(found: list[Any]) -> list[Any]:
-    """The errors less those that follow from a key which is written wrongly: it is not known, and the one that was meant is
-    missing; where any key may stand, its value is of the wrong kind instead of the key unknown."""
+    """Return the errors without those that only follow from a misspelled key. Such a key is unknown, and the intended one is
+    missing. Where any key is allowed, its value has the wrong kind instead."""
     missing = {tuple(error["loc"]) for error in found if error["type"] == "missing"}
     kept: dict[tuple[Key, ...], Any] = {}
     meant: set[tuple[Key, ...]] = set()
@@ -190,7 +190,7 @@ def _complain(report: Report, document: MappingNode, error: Any) -> None:
         )
 
 
-# What may be written for keys that are wanted.
+# Typical values for required keys.
 _USUAL = {
     "antdsl": "1",
     "count": "100",

@@ -1,7 +1,7 @@
-"""A scene against a program: each name bound to a thing of the right kind, each value of the right dimension and inside its
+"""Checks of a scene against a program: each name refers to a thing of the right kind, each value has the right dimension and
 range.
 
-No mesh is read here; that the named files are there is looked at. `CHECKS` is the list of what is compared."""
+No mesh is read here; only the existence of files is checked. `CHECKS` lists the comparisons."""
 
 from __future__ import annotations
 
@@ -23,12 +23,12 @@ from antdsl.scene.model import FILE_HEADS, MODELS, FlowThing, MeshThing, Painted
 from antdsl.scene.paths import PathRefused
 from antdsl.scene.quantities import Quantity
 
-# What a frame of a cache can hold besides the attributes of the species themselves.
+# Attributes of a cache frame in addition to those of the species.
 FRAME_ATTRIBUTES = ("P", "v", "orient", "id", "pscale", "Cd", "state", "species", "age", "group")
 
 
 def match(scene: Scene, program: Program) -> Report:
-    """Everything that does not fit, at its place in the scene."""
+    """Return everything that does not match, with its location in the scene."""
     report = Report()
     for check in CHECKS:
         check(scene, program, report)
@@ -36,7 +36,7 @@ def match(scene: Scene, program: Program) -> Report:
 
 
 def const_base(const: Const, scene: Scene) -> float:
-    """A constant of the program in base units, for this scene's length unit and frame rate."""
+    """Return a constant of the program in base units, for this scene's length unit and frame rate."""
     return float(const.number * scene.model.unit_mm**const.u * float(1 / scene.model.fps) ** const.step)
 
 
@@ -49,7 +49,7 @@ def _unknown(report: Report, scene: Scene, path: tuple[Key, ...], what: str, kno
 
 
 def _file(scene: Scene, report: Report, text: str, *path: Key) -> None:
-    """Look whether a file is there, or the files of a sequence."""
+    """Check whether a file, or the files of a sequence, exist."""
     try:
         files = scene.roots.sequence(text).values() if scene.roots.is_sequence(text) else (text,)
         size = max(scene.roots.exists(file) for file in files)
@@ -134,7 +134,7 @@ def _thing(scene: Scene, program: Program, report: Report, name: str, thing: Wor
 def _attributes(
     scene: Scene, report: Report, name: str, thing: WorldThing, given: Mapping[str, Quantity], known: list[str], *path: Key
 ) -> None:
-    """Values of items' attributes against what the program declares."""
+    """Check values of items' attributes against the program's declarations."""
     declared = {a.name: a for a in thing.attributes}
     for key, quantity in given.items():
         if key not in declared:
@@ -144,7 +144,7 @@ def _attributes(
 
 
 def _only_items(scene: Scene, report: Report, name: str, thing: WorldThing, value: UsdThing) -> None:
-    """What a part of a USD file says of items alone, against what the program declares of them."""
+    """Check the settings of a part of a USD file that only apply to items against the program's declarations."""
     unseen = ("look",) if thing.kind == "curve" else ()
     keys = [key for key in ("each", "kind", "turn", *unseen) if key in value.model_fields_set]
     if thing.kind != "items":
@@ -215,7 +215,7 @@ def _crowd(scene: Scene, program: Program, report: Report) -> None:
 
 
 def item_names(scene: Scene) -> dict[str, tuple[str, str]]:
-    """What `around` may name: an item, or items of which the first is meant; each as (items, item)."""
+    """Return the names that `around` accepts, each as (items, item): an item, or items, of which the first counts."""
     found: dict[str, tuple[str, str]] = {}
     for name, value in scene.model.world.items():
         if isinstance(value, dict) and value:
@@ -277,7 +277,7 @@ def _params(scene: Scene, program: Program, report: Report) -> None:
 
 
 def check_param(scene: Scene, program: Program, report: Report, name: str, value: Quantity, *path: Key) -> None:
-    """One param's value, or that of a field's setting, against its declaration: name, dimension, range."""
+    """Check the value of a param, or of a field's setting, against its declaration: name, dimension, range."""
     dim = field_settings.dimension(program, name)
     if dim is not None:
         advice = field_settings.refused(name, value)
@@ -322,8 +322,8 @@ def _fields(scene: Scene, program: Program, report: Report) -> None:
 
 
 def layer_order(scene: Scene, program: Program, species: str) -> tuple[list[str] | None, list[int]]:
-    """The texts of a species' layers in the scene's order, or None and the numbers of the scene's lines that fit none or
-    several."""
+    """Return the texts of a species' layers in the scene's order; or None and the indices of the scene's lines that match no
+    layer or several."""
     layers = list(program.species[species].layers.layers)
     order: list[str] = []
     wrong: list[int] = []

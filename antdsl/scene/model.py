@@ -1,4 +1,4 @@
-"""What a `scene.yaml` may say: one pydantic model for each mapping in it. Scalars are text until these models type them."""
+"""The contents of a `scene.yaml`: one pydantic model for each mapping in it. Scalars are text until these models type them."""
 
 from __future__ import annotations
 
@@ -53,9 +53,11 @@ Look = Annotated[str, BeforeValidator(one_of(*LOOKS))]  # of things in pictures
 
 
 class MeshThing(Part):
-    """A mesh file (`####` in its name: one a frame), turned and moved into the scene: scaled, its `up` made the scene's, rotated
-    about x, then y, then z, then put `at`. `group`: of an .obj file only the faces of that group or object, of glTF only what
-    lies at and below that node. `weld`: vertices nearer to each other than this are one place."""
+    """A mesh file (`####` in its name: one per frame), transformed into the scene. It is scaled, its `up` becomes the scene's, it
+    is rotated about x, then y, then z, and moved to `at`.
+
+    `group`: only the faces of that group or object of an .obj file, or only what is at and below that node of glTF. `weld`:
+    vertices nearer to each other than this are merged."""
 
     mesh: FilePath
     group: Word | None = None
@@ -71,19 +73,19 @@ class MeshThing(Part):
 
     @property
     def own_units(self) -> str | None:
-        """The unit of a format that has one by its specification."""
+        """Return the unit of the file format, if its specification defines one."""
         return "m" if self.mesh.lower().endswith((".gltf", ".glb")) else None
 
     @property
     def own_up(self) -> str | None:
-        """The file's up axis, where the scene or its format says one."""
+        """Return the file's up axis, if the scene or its format defines one."""
         return self.up or ("y" if self.own_units else None)
 
 
 class HeightThing(Part):
-    """A surface of heights: a 16-bit grey image (.png, .tif), or an array of an .npz file (`array`, where it has several;
-    `layer`, of one with three dimensions). `extent`: how far it goes along x and the other level axis, about its own origin; a
-    sample of 1 is `scale` high, and all are raised by `offset`."""
+    """A surface of heights: a 16-bit grey image (.png, .tif), or an array of an .npz file (`array`, if it has several; `layer`,
+    if it has three dimensions). `extent`: its size along x and the other level axis, centred at its own origin. A sample of 1 is
+    `scale` high, and all are raised by `offset`."""
 
     height: FilePath
     extent: tuple[PositiveLength, PositiveLength]
@@ -98,7 +100,7 @@ class HeightThing(Part):
 
 
 class UsdEach(Part):
-    """What the points of a USD file have as items where the file says nothing: a radius, and values of attributes."""
+    """Defaults for items from the points of a USD file where the file has no value: a radius, and values of attributes."""
 
     model_config = ConfigDict(extra="allow", frozen=True, arbitrary_types_allowed=True, hide_input_in_errors=True)
     __pydantic_extra__: dict[str, AnyQuantity] = Field(init=False)
@@ -107,9 +109,9 @@ class UsdEach(Part):
 
 
 class UsdThing(Part):
-    """What lies at and below a prim of a USD file: meshes, one curve, or points. Units, axes, places and time are the file's;
-    `scale`, `rotate`, `at` and `keys` come after them. Items may be all empties below the prim, by itself anywhere in the file,
-    that are of a `kind`, by itself the items' own name; `turn` names attributes that take the way they face."""
+    """Contents at and below a prim of a USD file: meshes, one curve, or points. Units, axes, positions and time are the file's;
+    `scale`, `rotate`, `at` and `keys` are applied after them. Items may be all empties of a `kind` below the prim. The prim
+    defaults to the whole file, `kind` to the items' own name. `turn`: attributes that receive the direction they face."""
 
     usd: FilePath
     prim: Word | None = None
@@ -127,12 +129,12 @@ class UsdThing(Part):
 
     @property
     def path(self) -> str:
-        """The path of the prim; the whole file where none is named."""
+        """Return the path of the prim; the whole file if none is named."""
         return "/" if self.prim is None else self.prim
 
 
 class CurveThing(Part):
-    """A polyline from a JSON file of points (`####` in its name: one a frame)."""
+    """A polyline from a JSON file of points (`####` in its name: one per frame)."""
 
     curve: FilePath
     keys: Keys = {}
@@ -146,14 +148,14 @@ Falloff = Annotated[str, BeforeValidator(one_of("none", "linear", "smooth"))]
 
 
 class FlowThing(Part):
-    """What all flows have: the surface they lie on (all of them if none is named), and a factor; below 0 turns them round."""
+    """What all flows have: the surface they are on (all if none is named), and a factor, which reverses them below 0."""
 
     on: Name | None = None
     strength: Strength = 1.0
 
 
 class SpreadFlow(FlowThing):
-    """A flow that is the less the further off its source is: nothing beyond `radius`, without one the same everywhere."""
+    """A flow that decreases with the distance from its source: zero beyond `radius`, constant without one."""
 
     radius: PositiveLength | None = None
     falloff: Falloff = "smooth"
@@ -161,8 +163,8 @@ class SpreadFlow(FlowThing):
 
 
 class TangentFlow(SpreadFlow):
-    """Along a curve as it was drawn: a curve of the world, or a JSON file of points. With `gather` it leads onto the curve as
-    well: at the radius so much as it leads along."""
+    """A flow along a curve in the direction in which it was drawn: a curve of the world, or a JSON file of points. With `gather`
+    it also leads onto the curve: at the radius as much as it leads along."""
 
     tangent: FilePath
     gather: Annotated[float, BeforeValidator(number(0, 10))] = 0.0
@@ -197,9 +199,9 @@ class BorderFlow(FlowThing):
 
 
 class SolvedFlow(FlowThing):
-    """The cheapest way over the surfaces to a target. A millimetre costs 1, and more by `slope` (times the sine of the slope),
-    within `room` of an obstacle, by `maps` (each times its factor) and by `crowding` (times the share of ground that is
-    covered by agents), which is looked at anew `every` so often."""
+    """The cheapest path over the surfaces to a target. A millimetre costs 1, plus `slope` (times the sine of the slope), plus a
+    cost within `room` of an obstacle. `maps` add their values times their factors. `crowding` is multiplied by the share of
+    ground covered by agents, which is measured again at the interval `every`."""
 
     solved: Target
     slope: Annotated[float, BeforeValidator(number(0, 1e6))] = 0.0
@@ -221,7 +223,7 @@ class PaintedThing(Part):
 
 
 class ItemThing(Part):
-    """One item: where it is (with `on`, dropped along the scene's up onto a surface), how large, and the values of its attributes
+    """One item: its position (with `on`, dropped along the scene's up onto a surface), its size, and the values of its attributes
     (any further key)."""
 
     model_config = ConfigDict(extra="allow", frozen=True, arbitrary_types_allowed=True, hide_input_in_errors=True)
@@ -291,8 +293,7 @@ WorldThing = Annotated[
 
 
 class FieldStart(Part):
-    """Starting values of a field: `start` everywhere, or only within `radius` of a point or an item (by itself: of the
-    origin)."""
+    """Starting values of a field: `start` everywhere, or only within `radius` of a point or an item (default: the origin)."""
 
     start: Annotated[float, BeforeValidator(number(0, 1e9))]
     around: PointOrName | None = None
@@ -306,7 +307,7 @@ class Camera(Part):
 
 
 class UsdCamera(Part):
-    """A camera of a USD file, with all that it does over time."""
+    """A camera of a USD file, with its motion."""
 
     usd: FilePath
     prim: Word
@@ -322,7 +323,7 @@ def _kind_of_camera(value: Any) -> str:
 
 
 class LevelOfDetail(Part):
-    """Distances from the camera: up to `near` feelers meet triangles, up to `far` the boxes about the pieces of obstacles, beyond
+    """Distances from the camera: up to `near`, feelers hit triangles; up to `far`, the boxes of the pieces of obstacles; beyond
     it nothing."""
 
     near: PositiveLength
@@ -336,7 +337,7 @@ class Output(Part):
 
 
 class StartFrom(Part):
-    """A frame of another cache, whose agents, items and fields this run begins with."""
+    """A frame of another cache: its agents, items and fields are the start of this run."""
 
     cache: FilePath
     frame: Annotated[int, BeforeValidator(whole(-limits.FRAMES, limits.FRAMES * 1000))]
@@ -378,7 +379,7 @@ class SceneModel(Part):
 
     @property
     def items_come_later(self) -> bool:
-        """Whether names of items may come out of a USD file, which is read when the scene is staged."""
+        """Return whether items may get their names from a USD file, which is read when the scene is staged."""
         return any(isinstance(value, UsdThing) for value in self.world.values())
 
 

@@ -1,4 +1,4 @@
-"""Values that go before the scene's own: params that the person gives who runs it, and what a spec sets."""
+"""Values that override those of the scene: params from the user who runs it, and what a spec sets."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 
 def overrides(scene: Scene, program: Program, params: Mapping[str, str], report: Report) -> Mapping[str, Quantity]:
-    """The values of `--set NAME=TEXT`, by name, each held against what the scene and the program let it be."""
+    """Return the values of `--set NAME=TEXT`, by name, each checked against the scene and the program."""
     found = {}
     for name, text in params.items():
         try:
@@ -34,7 +34,7 @@ def overrides(scene: Scene, program: Program, params: Mapping[str, str], report:
 
 
 def with_changed_fields(program: Program, changes: Iterable[Changed]) -> Program:
-    """The program with the settings of its fields that a spec changes."""
+    """Return the program with the field settings that a spec changes."""
     fields = dict(program.fields)
     for change in changes:
         name, _, word = change.name.partition(".")
@@ -44,7 +44,7 @@ def with_changed_fields(program: Program, changes: Iterable[Changed]) -> Program
 
 
 def with_changed_params(setting: Setting, scene: Scene, program: Program, changes: Iterable[Changed]) -> Setting:
-    """The setting with the params that a spec changes."""
+    """Return the setting with the params that a spec changes."""
     known = {change.name: constant_behind(change.value) for change in changes if change.name in program.params}
     changed = {name: const_base(value, scene) for name, value in known.items() if value is not None}
     return replace(setting, params={**setting.params, **changed}) if changed else setting

@@ -1,6 +1,6 @@
-"""The one door to files that a scene or a program names: only below the scene's own folder or a root that the person granted.
+"""The one interface to files that a scene or a program names: only below the scene's own folder or a granted root.
 
-A path is judged as text before the disk is touched, then opened part by part without following links."""
+A path is checked as text before the disk is accessed. It is then opened component by component without following links."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ _SEQUENCE = re.compile("([^#]*?)(#{1,9})([^#/]*)")
 
 
 class PathRefused(Exception):
-    """A path that will not be opened; `code` is a diagnostic's code, the text its message, `help` what to write instead."""
+    """A path that may not be opened. `code`: a diagnostic's code; the text is its message; `help`: what to write instead."""
 
     def __init__(self, code: str, message: str, help: str | None = None) -> None:
         super().__init__(message)
@@ -40,8 +40,8 @@ class PathRefused(Exception):
 
 @contextmanager
 def sought() -> Iterator[Sought]:
-    """All files that are asked for at this door meanwhile, in order, whether they are there or not; each with the root below
-    which no link is followed, None for one that the person named."""
+    """Collect all files requested through this module while the context is active, in order, whether they exist or not. Each
+    comes with the root below which no link is followed, None for a file that the user named."""
     found: Sought = {}
     before = _sought.set(found)
     try:
@@ -54,13 +54,14 @@ def sought() -> Iterator[Sought]:
 
 @dataclass(frozen=True, slots=True)
 class Roots:
-    """Where files may come from: the folder of the scene, and folders granted by name (`--root assets=PATH`)."""
+    """The allowed sources of files: the folder of the scene, and folders granted by name (`--root assets=PATH`)."""
 
     folder: Path
     granted: Mapping[str, Path] = field(default_factory=dict)
 
     def locate(self, text: str) -> tuple[Path, tuple[str, ...]]:
-        """The root and the parts of a path below it; PathRefused when the text names anything else. The disk is not touched."""
+        """Return the root and the parts of a path below it. Raises PathRefused if the text names anything else. The disk is not
+        accessed."""
         named = GRANTED.fullmatch(text)
         if named and len(named[1]) > 1:
             name, rest = named[1], named[2]
@@ -80,17 +81,17 @@ class Roots:
         return root.joinpath(*parts)
 
     def read(self, text: str, cap: int) -> bytes:
-        """The bytes of a regular file of at most `cap` bytes; PathRefused says why not."""
+        """Return the bytes of a regular file of at most `cap` bytes. Raises PathRefused with the reason."""
         return _bytes(self.open(text), text, cap)
 
     def open(self, text: str) -> int:
-        """A handle on a regular file, to be closed by the caller; PathRefused says why there is none."""
+        """Return a handle to a regular file, which the caller must close. Raises PathRefused with the reason."""
         root, parts = self.locate(text)
         note(root.joinpath(*parts), root)
         return _open_below(root, parts, text)
 
     def exists(self, text: str) -> int:
-        """The size of a regular file in bytes, without reading it; PathRefused says why not."""
+        """Return the size of a regular file in bytes, without reading it. Raises PathRefused with the reason."""
         handle = self.open(text)
         try:
             return os.fstat(handle).st_size
@@ -98,7 +99,7 @@ class Roots:
             os.close(handle)
 
     def is_sequence(self, text: str) -> bool:
-        """Whether `#` in a path stand for numbers of frames: where no file has exactly this name."""
+        """Return whether `#` in a path stands for frame numbers: if no file has exactly this name."""
         if "#" not in text:
             return False
         try:
@@ -108,8 +109,8 @@ class Roots:
         return False
 
     def sequence(self, text: str) -> dict[int, str]:
-        """The files that a path such as `walls.####.ply` means, by frame: `#` stand for the frame's number, padded with zeros to
-        as many digits. PathRefused when there is none, or the path is refused."""
+        """Return the files that a path such as `walls.####.ply` means, by frame: `#` stand for the frame's number, padded with
+        zeros to as many digits. Raises PathRefused if there is none, or if the path is rejected."""
         named = _SEQUENCE.fullmatch(text)
         if named is None:
             raise _refuse(text, "has `#` outside of its file's name, or in two places", "write `walls.####.ply`")
@@ -127,7 +128,8 @@ class Roots:
 
 
 def read_named(path: Path, cap: int) -> bytes:
-    """The bytes of a file that the person named on the command line: links are followed, anything but a regular file refused."""
+    """Return the bytes of a file that the user named on the command line. Links are followed; anything but a regular file is an
+    error."""
     shown = str(path)
     note(path, None)
     try:
@@ -140,8 +142,8 @@ def read_named(path: Path, cap: int) -> bytes:
 
 
 def open_again(path: Path, root: Path | None) -> int:
-    """A handle on a regular file that was asked for before, to be closed by the caller: below its root no link is followed. For
-    whoever looks whether it has changed; OSError where it cannot be had."""
+    """Return a handle on a regular file that was requested before; the caller closes it. Below its root no link is followed. It
+    is for callers that check whether the file has changed. Raises OSError if it cannot be opened."""
     if root is None:
         return open_regular(path)
     try:
@@ -151,14 +153,15 @@ def open_again(path: Path, root: Path | None) -> int:
 
 
 def note(path: Path, root: Path | None) -> None:
-    """Tell who looks (`sought`) that a file below a root is asked for, or would be: what was made of it is still known."""
+    """Record in an active `sought` that a file below a root is requested, or would be if its result were not cached."""
     found = _sought.get()
     if found is not None:
         found[path] = root
 
 
 def _bytes(handle: int, shown: str, cap: int) -> bytes:
-    """All of an open regular file of at most `cap` bytes, one that grows meanwhile included; the handle is closed."""
+    """Return all bytes of an open regular file, and close the handle. More than `cap` bytes are an error, even if the file grows
+    meanwhile."""
     try:
         return read_handle(handle, cap)
     except OSError as problem:
@@ -197,7 +200,7 @@ def _parts(text: str, rest: str) -> tuple[str, ...]:
 
 
 def _check_signs(text: str, rest: str) -> None:
-    """PathRefused where a path has characters that a file cannot have on every system, or that a shell would expand."""
+    """Raise PathRefused if a path has characters that are invalid in file names on some system, or that a shell would expand."""
     if rest.startswith("~"):
         raise _refuse(text, "begins with `~`, which is not expanded here", "write a path below the scene's folder, or `./~…`")
     if found := _COUNTER.search(rest):
@@ -226,7 +229,7 @@ def _refused(problem: OSError, shown: str) -> PathRefused:
 
 
 def _open_below(root: Path, parts: tuple[str, ...], shown: str) -> int:
-    """Open a file below a root, no part of the way being a link. Without `dir_fd` (Windows) the resolved path is compared
+    """Open a file below a root, with no link along the path. Without `dir_fd` (Windows), the resolved path is compared
     instead."""
     if os.open not in os.supports_dir_fd or not hasattr(os, "O_NOFOLLOW"):
         whole = root.joinpath(*parts)
@@ -279,7 +282,7 @@ def _names_below(root: Path, parts: tuple[str, ...], shown: str) -> list[str]:
 
 
 def _exact_name(folder: int, part: str, shown: str) -> None:
-    """Refuse a name that differs by case from the file's own: a file system blind to case would find it, another would not."""
+    """Raise an error for a name that differs by case from the file's own: only a case-insensitive file system would find it."""
     if _is_exact(folder, part):
         return
     names = os.listdir(folder)
@@ -292,8 +295,8 @@ def _exact_name(folder: int, part: str, shown: str) -> None:
 
 
 def _is_exact(folder: int, part: str) -> bool:
-    """Whether a file has this name, without a list of a folder that may have thousands. False where that cannot be said: there is
-    none, or the same name in the other case is there too."""
+    """Return whether a file has exactly this name, without listing a folder that may have thousands. False if that is uncertain:
+    there is none, or the same name exists in the other case too."""
     other = "".join(c.swapcase() if c.isascii() else c for c in part)
     if other == part:
         return False

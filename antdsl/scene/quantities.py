@@ -1,4 +1,4 @@
-"""Numbers with units as a scene writes them: `50 mm`, `20 %/s`, `12`. Text to value by the language's own table of units."""
+"""Numbers with units as in a scene: `50 mm`, `20 %/s`, `12`. They are parsed with the language's own table of units."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _NUMBER = re.compile(r"[+-]?(?:[0-9]+(?:\.[0-9]*)?|\.[0-9]+)(?:[eE][+-]?[0-9]{1,
 
 
 class BadQuantity(ValueError):
-    """Why a text is no quantity, in words that fit after the text in question; `help`: what to write, where that is known."""
+    """Why a text is not a quantity, in words that fit after that text. `help`: what to write, if known."""
 
     def __init__(self, message: str, help: str = "") -> None:
         super().__init__(message)
@@ -25,8 +25,8 @@ class BadQuantity(ValueError):
 
 @dataclass(frozen=True, slots=True)
 class Quantity:
-    """`number` in base units (mm, s, g, rad), still to be multiplied by (mm per scene unit) ** u and dt ** step. `unit` as
-    written."""
+    """`number` in base units (mm, s, g, rad), still to be multiplied by (mm per scene unit) ** u and dt ** step. `unit`: as in
+    the source."""
 
     number: float
     dim: Dim
@@ -44,7 +44,7 @@ class Quantity:
         return float(self.number * unit_mm**self.u * dt**self.step)
 
     def length(self, unit_mm: float) -> float:
-        """Millimetres; a number without a unit is in scene units. Only for values checked to be lengths."""
+        """Return millimetres; a number without a unit is in scene units. Only for values that were checked to be lengths."""
         return float(self.number * unit_mm if self.bare else self.number * unit_mm**self.u)
 
 
@@ -63,7 +63,7 @@ def parse_number(text: str) -> float:
 
 
 def parse_quantity(text: str) -> Quantity:
-    """A number and its unit, `30 mm/s`; BadQuantity says why not."""
+    """Return a number with its unit, `30 mm/s`. Raises BadQuantity with the reason."""
     text = text.strip()
     _refuse_comma(text)
     found = _NUMBER.match(text)
@@ -83,7 +83,7 @@ def parse_quantity(text: str) -> Quantity:
 
 
 def _refuse_comma(text: str) -> None:
-    """`0,4mm`, as numbers are written in many countries: what it means is said in the words that a program is told in."""
+    """Report `0,4mm`, the notation of many countries, with the same message as for a program."""
     found = WITH_COMMAS.match(text.lstrip("+-"))
     if found is not None:
         start = len(text) - len(text.lstrip("+-"))

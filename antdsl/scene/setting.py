@@ -1,7 +1,6 @@
-"""What a bound scene gives to the runtime: geometry, things, crowds and numbers, all in mm, seconds and the scene's own axes.
+"""What a bound scene passes to the runtime: geometry, things, crowds and numbers, all in mm, seconds and the scene's own axes.
 
-Plain frozen values without a reader behind them, so that a test can write one by hand.
-"""
+They are plain frozen values, independent of readers, so that a test can write them by hand."""
 
 from __future__ import annotations
 
@@ -17,7 +16,7 @@ from antdsl.scene.geometry.import_notes import MeshImport
 from antdsl.scene.staging.moves import Moves
 from antdsl.source import Span
 
-_NEAR = 1e5  # mm: a world whose middle is no farther out keeps the zero point
+_NEAR = 1e5  # mm: a world with its middle no farther out retains the zero point
 
 
 Point = tuple[float, float, float]
@@ -51,9 +50,9 @@ class Painted:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Target:
-    """Where a flow leads: places (n, 3) in mm with their radii (n,), or, as a `line`, a curve from place to place.
+    """The target of a flow: positions (n, 3) in mm with their radii (n,); or, with `line`, a polyline through them.
 
-    `of` names the curve or the items that these are, `which` (of one item alone) its number: they may move."""
+    `of`: the name of their curve or items; `which`: the index of a single item. They may move."""
 
     places: NDArray[np.float64]
     radii: NDArray[np.float64]
@@ -64,10 +63,10 @@ class Target:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SpreadFlow:
-    """A flow about a target: along it (a line), toward it, or away; less the further off, nothing beyond `radius` mm. With
-    `gather` a flow along leads onto the line as well, at the radius so much as it leads along.
+    """A flow around a target: along it (a line), towards it, or away from it. It decreases with distance and is 0 beyond `radius`
+    mm. With `gather`, a flow along a line also leads onto it; `gather` is the ratio of the two parts at the radius.
 
-    `cell`: how near (mm) the points lie in which it is worked out; else a share of the radius. `on`: surfaces; empty: all."""
+    `cell`: distance (mm) of the points where it is computed; default: a share of the radius. `on`: surfaces; empty: all."""
 
     way: Literal["tangent", "toward", "away"]
     target: Target
@@ -81,7 +80,7 @@ class SpreadFlow:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BorderFlow:
-    """Inward from the open borders of `on`, where these are nearer than `within` mm."""
+    """A flow inward from the open borders of `on`, up to a distance of `within` mm."""
 
     on: tuple[str, ...]
     within: float
@@ -92,8 +91,8 @@ class BorderFlow:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SolvedFlow:
-    """The cheapest way to a target. A mm costs 1 + slope · sin + 8 (1 - d / room)² at d mm from an obstacle + maps · their
-    values + crowding · share of ground covered by agents. Crowds that count and what moves are looked at every `every` s."""
+    """The cheapest path to a target. A mm costs 1 + slope · sin + 8 (1 - d / room)² at d mm from an obstacle + maps · their
+    values + crowding · share of ground covered by agents. Crowds and moving things are updated every `every` s."""
 
     target: Target
     slope: float = 0.0
@@ -111,7 +110,7 @@ FlowData = Painted | SpreadFlow | BorderFlow | SolvedFlow
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ItemData:
-    """One item. `attributes` in base units; those absent take the declared default."""
+    """One item. `attributes` in base units; absent ones have the declared default."""
 
     name: str
     position: Point
@@ -123,17 +122,17 @@ class ItemData:
 class PlaceData:
     """Where a crowd starts.
 
-    `points` (n, 3), one an agent, in order (those after the last start over); else a disc of `radius` mm around `around`, dropped
-    along the scene's up onto the surfaces; else where lines from `inside` in all directions first meet a surface, on that side;
-    else evenly over the surfaces, or as densely as the map `density` says. `on` narrows to some surfaces (empty: all).
+    `points` (n, 3): one per agent, in order; after the last they repeat. Without points: a disc of `radius` mm around `around`,
+    dropped along the scene's up onto the surfaces. Else: where lines from `inside` in all directions first hit a surface, on that
+    side. Else: evenly over the surfaces, or with the density of the map `density`. `on` limits this to some surfaces (empty:
+    all).
 
-    With `by_area` agents stand on the front of faces, whichever way these look, and `radius` is that of a ball; `points` go to
-    the nearest place of a surface. `apart`: how far (mm) centres are from each other, at least; inf: as far as all who begin
-    there with the same have room for. `seed`: of the places, instead of the setting's.
+    With `by_area`, agents stand on the front of faces of any direction, `radius` is that of a ball, and `points` move to the
+    nearest surface point. `apart`: the least distance (mm) of centres; inf: as large as there is room for all that start there
+    with the same setting. `seed`: for the positions, instead of the setting's.
 
-    `ahead` (n, 3): the unit vector along which the agent at each point faces, nan where its heading is drawn. `values` (n,):
-    attributes that the one born at each point has instead of what its species says, by name, in base units, nan where that
-    counts."""
+    `ahead` (n, 3): the unit vector of the heading at each point, nan for a drawn heading. `values` (n,): attributes of the agent
+    at each point that override its species, by name, in base units, nan for the species' value."""
 
     on: tuple[str, ...] = ()
     around: Point | None = None
@@ -150,7 +149,8 @@ class PlaceData:
 
 @dataclass(frozen=True, slots=True)
 class WalkData:
-    """A way that agents are led: a unit vector along which they set out, laid along the ground, mm/s, and mm."""
+    """A walk of agents: a unit vector along which they start, projected onto the ground; the speed in mm/s; and the length in
+    mm."""
 
     direction: Point
     speed: float
@@ -159,9 +159,9 @@ class WalkData:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CrowdData:
-    """`count` agents of one species; `group` is the number of this line of the scene, from 0. Those with a `walk` sense and
-    decide nothing. `body` names what they look like; empty: what suits the species' name. `wears`: for each part that they
-    show of their body, the layers of which each has one by chance, "" for none."""
+    """`count` agents of one species. `group`: the index of this line of the scene, from 0. Agents with a `walk` do not sense or
+    decide. `body`: the name of their body; empty: the one that suits the species' name. `wears`: for each displayed part of their
+    body, the layers from which one is drawn, "" for none."""
 
     species: str
     count: int
@@ -174,8 +174,8 @@ class CrowdData:
 
 @dataclass(frozen=True, slots=True)
 class ClipData:
-    """A clip of a body: how many `seconds` it takes, the way that it covers in one turn, in body lengths (0: it stays where it
-    is), whether it loops, and its marks in turns, by name."""
+    """A clip of a body: its duration in `seconds`, the distance it covers in one turn, in body lengths (0: it stays in place),
+    whether it loops, and its marks in turns, by name."""
 
     seconds: float = 1.0
     stride: float = 0.0
@@ -185,7 +185,7 @@ class ClipData:
 
 @dataclass(frozen=True, slots=True)
 class RoomData:
-    """The room that a body takes, in its lengths: a capsule `length` long and `width` wide along the heading, whose middle is
+    """The space that a body takes, in body lengths: a capsule `length` long and `width` wide along the heading. Its middle is
     `height` above the feet and `ahead` of them."""
 
     length: float
@@ -207,10 +207,11 @@ class GaitData:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LegsData:
-    """The L legs of a body as it stands, in its lengths: x along the heading, y up from the ground, z to the side (x × y).
+    """The L legs of a body in its standing pose, in body lengths: x along the heading, y up from the ground, z to the side (x ×
+    y).
 
-    `foot` float64[L,3]: the foot joints; `hip` float64[L,3]: where legs begin; `length` float64[L]: how far a leg reaches from
-    hip to foot joint when it is straight. `gaits` go from slow to fast; there is at least one."""
+    `foot` float64[L,3]: the foot joints; `hip` float64[L,3]: where legs begin; `length` float64[L]: the reach of a straight leg
+    from hip to foot joint. `gaits` go from slow to fast; there is at least one."""
 
     foot: NDArray[np.float64]
     hip: NDArray[np.float64]
@@ -229,8 +230,8 @@ class FieldStart:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CameraData:
-    """A camera over the written frames, one row a frame or a single one: places and directions in mm and the scene's axes, the
-    focal length in mm for a sensor 36 mm wide."""
+    """A camera over the written frames, one row per frame or a single one: positions and directions in mm and the scene's axes,
+    the focal length in mm for a sensor 36 mm wide."""
 
     at: NDArray[np.float64]
     look_at: NDArray[np.float64]
@@ -240,8 +241,8 @@ class CameraData:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DetailData:
-    """Level of detail by distance (mm) from a camera: up to `near` triangles are felt, up to `far` boxes, beyond it nothing.
-    `camera` float64 (frames, 3): where it is at each frame from the frame `first` on; the ends hold beyond."""
+    """Level of detail by distance (mm) from a camera: up to `near`, feelers hit triangles; up to `far`, boxes; beyond it nothing.
+    `camera` float64 (frames, 3): its position at each frame from `first` on; the end values hold outside."""
 
     camera: NDArray[np.float64]
     near: float
@@ -251,15 +252,20 @@ class DetailData:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Setting:
-    """Everything that binding a plan needs. `unit_mm` is the length of `u`; `up` a unit vector; `params` by qualified name
-    (`forager.smell`), those absent take their default; `first_frame` is the number of the first simulated frame. Meshes, items
-    and curves are where they are at that frame; `moves` says where they go. `camera` is one that a file brings. With
-    `by_rays` agents stick to meshes by two rays a step and do not walk over triangles. `orient`: what bodies stand across: the
-    ground's smooth `normal`, the last two directions of motion (`turns`), or the ways to two `probes`. `deviations`: how far (mm)
-    the triangles of surfaces that are made of heights lie from bilinear patches, at most. `contacts` says how bodies
-    keep apart. `clips`: of the body of each species, by name; `rooms`: what bodies that come from files take up;
-    `legs`: what those that have gaits stand on. `unseen`: things that are not drawn, which no foot stands on.
-    `imports`: by mesh, the report on its file. `spans`: where the scene says what each thing of the world is."""
+    """Everything that binding a plan needs.
+
+    `unit_mm`: the length of `u`; `up`: a unit vector; `params`: by qualified name (`forager.smell`), absent ones have their
+    default; `first_frame`: the number of the first simulated frame. Meshes, items and curves are at their positions of that
+    frame; `moves` has their motion. `camera`: one from a file.
+
+    With `by_rays`, agents find meshes by two rays per step and do not walk over triangles. `orient`: what bodies stand
+    perpendicular to: the ground's smooth `normal`, the last two directions of motion (`turns`), or the directions to two
+    `probes`. `deviations`: the largest distance (mm) of the triangles of height surfaces from bilinear patches. `contacts`: how
+    bodies are separated.
+
+    `clips`: of the body of each species, by name; `rooms`: the sizes of bodies from files; `legs`: of bodies with gaits.
+    `unseen`: things that are not drawn, on which no foot stands. `imports`: by mesh, the report on its file. `spans`: where the
+    scene defines each thing of the world."""
 
     fps: Fraction = Fraction(24)
     substeps: int = 1
@@ -294,11 +300,11 @@ class Setting:
     @property
     def dt(self) -> float:
         """Seconds a step."""
-        return self.fps.denominator / self.fps.numerator  # asked for many times a step: a Fraction takes ten times as long
+        return self.fps.denominator / self.fps.numerator  # queried many times a step: a Fraction takes ten times as long
 
     @property
     def begun_with(self) -> dict[str, frozenset[str]]:
-        """By species the attributes that places of its crowds give to those who are born there."""
+        """Return, by species, the attributes that the places of its crowds set at birth."""
         found: dict[str, frozenset[str]] = {}
         for crowd in self.crowds:
             found[crowd.species] = found.get(crowd.species, frozenset()) | crowd.place.values.keys()

@@ -27,7 +27,7 @@ BASE_UNITS = {LENGTH: "mm", ANGLE: "rad", TIME: "s", SPEED: "mm/s"}
 
 
 def refuse(message: str, help: str = "") -> PydanticCustomError:
-    """An error that keeps its words as they are, braces and all."""
+    """Return an error with its message unchanged, including braces."""
     return PydanticCustomError("scene", "{words}", {"words": message, "help": help})
 
 
@@ -46,7 +46,7 @@ def _text(value: Any, wanted: str) -> str:
 
 
 def whole(low: int, high: int) -> Callable[[Any], int]:
-    """A whole number in decimal digits between two bounds."""
+    """Return a parser for a whole number in decimal digits between two bounds."""
 
     def read(value: Any) -> int:
         text = _text(value, "a whole number")
@@ -70,14 +70,14 @@ def _quantity(value: Any) -> Quantity:
 
 
 def _within(found: Quantity, largest: float, unit: str = "") -> Quantity:
-    """The same, unless it is larger than a scene may have."""
+    """Return the same quantity. An error if it is larger than a scene may have."""
     if abs(found.number) > largest:
         raise refuse(f"{_shown(found.text)} is too large", f"write a number from {-largest:g} to {largest:g}{unit}")
     return found
 
 
 def of_dim(dim: Dim) -> Callable[[Any], Quantity]:
-    """A quantity of one dimension; a bare number is in the scene's own unit (degrees for an angle)."""
+    """Return a parser for quantities of one dimension. A bare number is in the scene's own unit (degrees for an angle)."""
 
     def read(value: Any) -> Quantity:
         found = _quantity(value)
@@ -174,7 +174,7 @@ _OTHER_RANGE = re.compile(r"\[?\s*(-?[0-9]{1,9})\s*(?:-|–|—|…|\.{3}|:|,|;|
 
 
 def parse_frames(text: str) -> FrameRange:
-    """`1001..1720` or one frame; BadQuantity says why not."""
+    """Parse `1001..1720` or one frame. Raises BadQuantity with the reason."""
     found = re.fullmatch(r"(-?[0-9]{1,9})(?:\s*\.\.\s*(-?[0-9]{1,9}))?", text.strip(), re.ASCII)
     if not found:
         other = _OTHER_RANGE.fullmatch(text.strip())
@@ -207,7 +207,7 @@ def _path(value: Any) -> str:
 
 
 def word_or_file(*words: str) -> Callable[[Any], str]:
-    """One word of a closed list, or the path of a file, which has a dot or a slash."""
+    """Return a parser for one word of a closed list, or the path of a file, which has a dot or a slash."""
 
     def read(value: Any) -> str:
         text = _text(value, "a word, or the path of a file,")
@@ -255,7 +255,7 @@ Point = tuple[Length, Length, Length]
 
 
 class Part(BaseModel):
-    """A mapping of the scene: keys that are not listed are refused."""
+    """A mapping of the scene. Keys that are not listed are errors."""
 
     model_config = ConfigDict(
         extra="forbid", frozen=True, populate_by_name=False, arbitrary_types_allowed=True, hide_input_in_errors=True
@@ -263,7 +263,7 @@ class Part(BaseModel):
 
 
 class PlaceKey(Part):
-    """Where a thing is at one frame; between keys it goes evenly, before the first and after the last it rests."""
+    """The position of a thing at one frame. It moves linearly between keys, and rests before the first and after the last."""
 
     at: Point | None = None
     rotate: tuple[Angle, Angle, Angle] | None = None

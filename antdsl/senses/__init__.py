@@ -1,7 +1,6 @@
 """Agents near agents: the cell grid and what is measured with it.
 
-`neighbours` sorts positions into cells and answers with pairs (query, neighbour) within a radius, in the order of ids, so that
-no result depends on rows or chunks. `touching` gives every pair once whose bodies may touch.
-`overlaps` measures how far bodies stand inside each other. Rays, curves and surfaces that
-agents sense are in `casting`, `ground` and `fields`; which operation of the plan asks which of them is a table in
-`runtime.sensing`."""
+`neighbours` sorts positions into cells and returns pairs (query, neighbour) within a radius, in the order of ids. Thus no result
+depends on rows or chunks. `touching` returns every pair of bodies that may touch once. `overlaps` measures how far bodies
+overlap. Rays, curves and surfaces that agents sense are in `casting`, `ground` and `fields`. A table in `runtime.sensing` says
+which plan operation uses which of them."""

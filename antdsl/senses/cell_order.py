@@ -30,7 +30,7 @@ Sizes = tuple[I64, I64, I64]
 _MAX_CELLS_ALONG = 1 << 19  # three packed coordinates stay below 2**62
 _AGENTS_PER_COLUMN = 6
 _LAYERS_PER_COLUMN = 2
-_CHUNKED = 8_192  # agents for whom several threads pay
+_CHUNKED = 8_192  # agents from which several threads pay off
 SHARES = 16  # of a chunk, the least that a thread takes
 SPARE = 3  # more numbers in a table than it has cells
 NO_ORDER = np.empty(0, np.int64)
@@ -38,8 +38,8 @@ NO_ORDER = np.empty(0, np.int64)
 
 @dataclass(frozen=True, slots=True)
 class Shape:
-    """The cells of a box: lists go by the fast, middle and slow axis, which are its longest, its second and its shortest. Low
-    corner and width in mm."""
+    """The cells of a box. Lists go by the fast, middle and slow axis: the longest, the second and the shortest. Low corner and
+    width in mm."""
 
     axes: tuple[int, ...]
     low: list[float]
@@ -49,7 +49,7 @@ class Shape:
 
     @classmethod
     def of(cls, low: list[float], high: list[float], cell: float) -> Shape:
-        """Of a box between two corners, for queries of a usual radius."""
+        """Return the cells of a box between two corners, for queries with radius `cell`."""
         x, y, z = high[0] - low[0], high[1] - low[1], high[2] - low[2]
         axes: tuple[int, ...] = (0, 1, 2)
         extent = [x, y, z]
@@ -74,16 +74,16 @@ class Shape:
         return 1 / a, 1 / b, 1 / c
 
     def listed(self, agents: int) -> bool:
-        """Whether the cells are few enough for a table of them, for so many agents."""
+        """Return whether the cells are few enough for a table of them, for a number of agents."""
         return self.cells <= max(1 << 16, 16 * agents)
 
     def as_sheet(self) -> Shape:
-        """With one layer of cells along the shortest axis."""
+        """Return the shape with a single layer of cells along the shortest axis."""
         return Shape(self.axes, self.low, self.extent, [*self.width[:2], 2 * self.extent[2]], [*self.size[:2], 1])
 
     def is_sheet(self, places: Places) -> bool:
-        """Whether a crowd at these places (float32[n] mm), as on ground, has so few agents or layers above each other that these
-        need not be told apart. In a far-flung crowd, columns may share a number."""
+        """Return whether a crowd at these positions (float32[n] mm), as on ground, has so few agents or layers above each other
+        that they need no separate cells. In a widely scattered crowd, columns may share a number."""
         if not self.extent[2] > 0:
             return False  # one layer of cells already
         seen = np.zeros((2, max(1 << 16, 64 * len(places[0]))), np.bool_)
@@ -91,13 +91,13 @@ class Shape:
 
 
 def along(axes: tuple[int, ...], places: tuple[Any, ...]) -> tuple[Any, ...]:
-    """Arrays of x, y and z by the fast, middle and slow axis."""
+    """Return arrays of x, y and z in the order fast, middle and slow axis."""
     a, b, c = axes
     return places[a], places[b], places[c]
 
 
 def box_around(places: Places) -> tuple[list[float], list[float]]:
-    """The corners of the box around all finite places (float32[n] mm); zeros where there are none."""
+    """Return the corners of the bounding box of all finite positions (float32[n] mm); zeros if there are none."""
     ends = np.empty((2, 3))
     _box(*places, np.empty((6, WIDTH), np.float32), ends)
     low, high = ends.tolist()
@@ -105,15 +105,16 @@ def box_around(places: Places) -> tuple[list[float], list[float]]:
 
 
 class CellOrder:
-    """So many agents in the order of cells, with arrays that the next sort uses again. Agents without a finite place come last,
-    in no cell.
+    """Agents in the order of cells, with arrays that the next sort reuses. Agents without a finite position come last, in no
+    cell.
 
-    `columns`: x, y and z float32 in that order, with eight spare ones behind the last; `rows` int32 of the agents; `at` int32
-    [n + 8]: the position of each row in the order; `starts` int32, the first agent of each cell and how many there are, or empty
-    where there are too many cells for a table: then `keys` int64 are the cells of the agents.
-    `tables`: what a plan's machine code reads, another mapping whenever an array in it is another one. `places`: x, y, z and the
-    row of each agent, [n + 8, 4], the last as the bits of an int32; `floats`: low, width and inverse width of cells along the
-    fast, middle and slow axis; `whole`: these axes, numbers of cells, number of agents."""
+    `columns`: x, y and z float32 in that order, with eight spare values at the end. `rows` int32: of the agents. `at` int32[n +
+    8]: the position of each row in the order. `starts` int32: the first agent of each cell and the number of agents; empty if
+    there are too many cells for a table. Then `keys` int64 are the cells of the agents.
+
+    `tables`: what a plan's machine code reads; a new mapping whenever an array in it is replaced. `places`: x, y, z and the row
+    of each agent, [n + 8, 4], the last as the bits of an int32. `floats`: low, width and inverse width of cells along the fast,
+    middle and slow axis. `whole`: these axes, numbers of cells, number of agents."""
 
     def __init__(self, count: int, threads: int) -> None:
         self.count, self.threads = count, threads
@@ -135,7 +136,8 @@ class CellOrder:
         return self._places.view(np.int32)[: self.count, 3]
 
     def sort(self, shape: Shape, places: Places, order: NDArray[np.int64] = NO_ORDER) -> None:
-        """Sort agents at places (float32[n] mm) into cells. Those of one cell come as their rows do, or in an `order` of all."""
+        """Sort agents at positions (float32[n] mm) into cells. Within a cell they are in row order, or in an `order` of all
+        agents."""
         if shape is not self.shape:
             self._take_shape(shape)
         counts, keys = self._counts, self._keys
@@ -151,7 +153,7 @@ class CellOrder:
         parallel.in_parts(partial(_columns, self._flat, *self.columns), self.count, self.threads, parallel.LIGHT)
 
     def _take_shape(self, shape: Shape) -> None:
-        """Numbers of its cells, and room for a table of them."""
+        """Store the cell counts of a shape, and allocate a table of the cells."""
         self.shape, self._cells = shape, (tuple(shape.low), shape.inverse, tuple(shape.size), 0)
         self._floats[:] = *shape.low, *shape.width, *shape.inverse
         self._whole[:] = *shape.axes, *shape.size, self.count
@@ -164,14 +166,15 @@ class CellOrder:
 
 
 def in_chunks(work: partial[Any], chunks: int, threads: int) -> None:
-    """Call a kernel for so many chunks. What its last two arguments count are sixteenths of a chunk: a thread takes no less."""
+    """Call a kernel for a number of chunks. Its last two arguments count sixteenths of a chunk; a thread takes at least one
+    chunk."""
     parallel.in_parts(work, SHARES * chunks, threads, SHARES)
 
 
 @kernel
 def _box(x: Array1[F32], y: Array1[F32], z: Array1[F32], lanes: Array2[F32], ends: Array2[F64]) -> None:
-    """Put the least and the greatest x, y and z of finite places into `ends` (2, 3), 0 where there are none. `lanes` (6, 8) has
-    those of each lane."""
+    """Write the least and the greatest x, y and z of finite positions to `ends` (2, 3), 0 if there are none. `lanes` (6, 8): the
+    values of each lane."""
     even = x.size & -8
     for lane in independent(0, 8):
         low_x, low_y, low_z = np.float32(np.inf), np.float32(np.inf), np.float32(np.inf)
@@ -206,7 +209,8 @@ def _higher(high: F32, place: F32, good: BOOL) -> F32:
 
 @kernel
 def _is_sheet(along: Columns, low: Three, inverse: Three, size: Sizes, seen: Array2[BOOL]) -> BOOL:
-    """Whether the columns or layers of cells have few agents. `seen` (2, k): which columns and which cells have any."""
+    """Return whether the columns of cells have few agents or few layers. `seen` (2, k): which columns and which cells have
+    any."""
     agents, columns, cells = 0, 0, 0
     for row in range(along[0].size):
         a, b, c = along[0][row], along[1][row], along[2][row]
@@ -226,13 +230,13 @@ def _is_sheet(along: Columns, low: Three, inverse: Three, size: Sizes, seen: Arr
 
 @inlined
 def _cell(place: Any, low: F64, inverse: F64, size: I64) -> F64:
-    """The number of the cell along an axis, as float64."""
+    """Return the index of the cell along an axis, as float64."""
     return np.floor(min(max((np.float64(place) - low) * inverse, 0.0), np.float64(size - 1)))
 
 
 @inlined
 def number_of_cell(along: AnyColumns, row: I64, low: Three, inverse: Three, size: Sizes) -> I64:
-    """The number of the cell of an agent; that behind the last one without a finite place."""
+    """Return the index of an agent's cell; one past the last cell for an agent without a finite position."""
     fast, middle, slow = along[0][row], along[1][row], along[2][row]
     line = _cell(slow, low[2], inverse[2], size[2]) * np.float64(size[1]) + _cell(middle, low[1], inverse[1], size[1])
     key = whole(line) * size[0] + whole(_cell(fast, low[0], inverse[0], size[0]))
@@ -242,7 +246,7 @@ def number_of_cell(along: AnyColumns, row: I64, low: Three, inverse: Three, size
 
 @inlined
 def _chunk(chunk: I64, chunks: I64, count: I64) -> tuple[I64, I64]:
-    """Where a chunk of so many agents begins and ends."""
+    """Return where a chunk of `count` agents begins and ends."""
     length = -(-count // (8 * chunks)) * 8
     return min(chunk * length, count), min((chunk + 1) * length, count)
 
@@ -252,9 +256,10 @@ def counted(
     along: AnyColumns, low: Three, inverse: Three, size: Sizes, shift: I64, order: Array1[I64], keys: Array1[I64],
     counts: Array2[I32], begin: I64, end: I64,
 ) -> I64:  # fmt: skip
-    """Store the cell of each agent, which is `shift` more than `number_of_cell`, and count the agents of each cell two places
-    behind its own. `order`: rows of the agents, empty where these are all rows. Gives how many pairs of agents of a chunk share a
-    cell, either way and each with itself."""
+    """Store the cell of each agent, `number_of_cell` plus `shift`, and count the agents of each cell at index cell + 2.
+
+    `order`: rows of the agents, empty for all rows. Returns how many ordered pairs of agents of a chunk share a cell, including
+    each agent with itself."""
     mates = 0
     for chunk in range(begin // SHARES, end // SHARES):
         first, last = _chunk(chunk, counts.shape[0], keys.size)
@@ -285,8 +290,8 @@ def _count(
 
 @kernel
 def add_up(counts: Array2[I32], cells: I64) -> None:
-    """Make numbers of agents the positions that each chunk's first agent of each cell gets, one place behind the cell's own. Once
-    all agents are put, the last chunk has the first agent of each cell."""
+    """Convert counts to the position of each chunk's first agent of each cell, stored at index cell + 1. After all agents are
+    placed, the last chunk has the first agent of each cell."""
     last, position = counts.shape[0] - 1, 0
     for chunk in range(last):
         for at in range(cells + 2):
@@ -303,7 +308,7 @@ def add_up(counts: Array2[I32], cells: I64) -> None:
 
 @inlined
 def position_of(counts: Array2[I32], chunk: I64, k: I64, key: I64) -> I64:
-    """Where the next agent of a cell goes; without a table, agents are in order already."""
+    """Return where the next agent of a cell goes. Without a table, agents are already in order."""
     position = k
     if counts.shape[1] > 0:
         position = counts[chunk, key + 1]
@@ -316,7 +321,7 @@ def _put(
     places: Columns, order: Array1[I64], keys: Array1[I64], counts: Array2[I32], ordered: Array1[F32], rows: Array1[I32],
     at: Array1[I32], begin: I64, end: I64,
 ) -> None:  # fmt: skip
-    """Put x, y, z and the row of each agent at its position. `ordered` and `rows` are one array, by fours."""
+    """Write x, y, z and the row of each agent at its position. `ordered` and `rows` are views of one array, in groups of four."""
     for chunk in range(begin // SHARES, end // SHARES):
         first, last = _chunk(chunk, counts.shape[0], keys.size)
         for k in range(first, last):
@@ -329,14 +334,14 @@ def _put(
 
 @kernel
 def _columns(ordered: Array1[F32], x: Array1[F32], y: Array1[F32], z: Array1[F32], begin: I64, end: I64) -> None:
-    """Places in the order of the cells, one axis after the other."""
+    """Write the positions in the order of the cells to one array per axis."""
     for n in independent(begin, end):
         x[n], y[n], z[n], _ = consecutive(ordered, 4 * n, 4)
 
 
 @kernel
 def in_order(at: Array1[I32], registers: Four, ordered: Array1[F32], begin: I64, end: I64) -> None:
-    """Put four registers of each agent at its position, by fours."""
+    """Write four registers of each agent at its position, in groups of four."""
     for row in range(begin, end):
         first = 4 * at[row]
         ordered[first], ordered[first + 1] = registers[0][row], registers[1][row]
@@ -345,7 +350,7 @@ def in_order(at: Array1[I32], registers: Four, ordered: Array1[F32], begin: I64,
 
 @inlined
 def agents_before(starts: Array1[I32], keys: Array1[I64], key: I64) -> I64:
-    """How many sorted agents lie in cells before `key`; by bisection of their cells where there is no table."""
+    """Return how many sorted agents are in cells before `key`; by bisection of their cells if there is no table."""
     if starts.size > 0:
         found = starts[key]
     else:

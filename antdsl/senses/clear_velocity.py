@@ -1,13 +1,12 @@
-"""Reciprocal collision avoidance: of the velocities by which an agent meets nobody within some time the nearest to the one
-that it wishes, in the plane of its ground (J. van den Berg, S. Guy, M. Lin, D. Manocha, Reciprocal n-Body Collision Avoidance,
-Robotics Research, Springer Tracts in Advanced Robotics 70, 2011, p. 3-19).
+"""Reciprocal collision avoidance in the plane of an agent's ground. Returns the velocity nearest to the wished one with which the
+agent hits no other within some time. Source: J. van den Berg, S. Guy, M. Lin, D. Manocha, Reciprocal n-Body Collision Avoidance,
+Robotics Research, Springer Tracts in Advanced Robotics 70, 2011, p. 3-19.
 
-Each neighbour allows a half-plane of velocities, the change that is needed being shared by halves (section 4). The nearest
-point of all half-planes within the circle of the greatest speed is found by an incremental linear program, a constraint at a
-time; where they have none in common, the point that all forbid least (section 5.3). Constraints are added one by one, the
-nearest neighbour's first; values are float64 and made of single sums, products, quotients and roots, so that an
-agent's result is the same bits whoever else is asked for.
-"""
+Each neighbour allows a half-plane of velocities; both agents make half of the necessary change (section 4). An incremental linear
+program finds the nearest point of all half-planes within the circle of the greatest speed, one constraint at a time. If they have
+no common point, it finds the point that violates them least (section 5.3). Constraints are added one by one, the nearest
+neighbour's first. Values are float64, made of single sums, products, quotients and roots. Thus an agent's result has the same
+bits, whichever other agents are computed."""
 
 from __future__ import annotations
 
@@ -36,9 +35,10 @@ _LEAST = 1e-30
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Others:
-    """Neighbours of n agents, at most m each, from the nearest on: float64[n,m] in the plane of the asking agent. `x y` are other
-    minus own place, `vx vy` own minus other velocity, `room` is the sum of both radii (mm, mm/s); `there` says which are any,
-    `first` in which two on one spot the asking one is the first by species and id."""
+    """Neighbours of n agents, at most m each, nearest first: float64[n,m] in the plane of the requesting agent.
+
+    `x y`: other minus own position; `vx vy`: own minus other velocity; `room`: the sum of both radii (mm, mm/s). `there`: which
+    entries are valid. `first`: the two are at one position and the requesting one comes first by species and id."""
 
     x: Floats
     y: Floats
@@ -53,8 +53,8 @@ def clear_velocities(
     others: Others, velocity: tuple[Floats, Floats], wish: tuple[Floats, Floats], fastest: Floats, horizon: Floats, dt: float,
     threads: int = 1,
 ) -> tuple[Floats, Floats]:  # fmt: skip
-    """Velocities (mm/s, float64[n] along both axes of each agent's plane) nearest to a `wish`, no faster than `fastest`, by which
-    nobody is met within `horizon` s if the others do their half; those who are in each other part within `dt` s."""
+    """Return velocities (mm/s, float64[n] along both axes of each agent's plane) nearest to a `wish`, no faster than `fastest`.
+    They avoid all hits within `horizon` s if the others do their half. Agents that overlap separate within `dt` s."""
     o = others
     columns = parallel.plain(o.x, o.y, o.vx, o.vy, o.room, o.there, o.first)
     own, wished, (most, until) = (parallel.plain(*each) for each in (velocity, wish, (fastest, horizon)))
@@ -68,7 +68,7 @@ def _some(
     others: tuple[NDArray[Any], ...], velocity: tuple[Floats, ...], wish: tuple[Floats, ...], fastest: Floats, horizon: Floats,
     dt: float, begin: int, end: int,
 ) -> tuple[Floats, Floats]:  # fmt: skip
-    """`clear_velocities` of agents from `begin` to `end`; `others` are `Columns`."""
+    """Compute `clear_velocities` for agents from `begin` to `end`; `others` are `Columns`."""
     most = others[0].shape[1]
     borders, between = ((*np.empty((4, most)), np.empty(most, np.int64)) for _ in range(2))
     x, y = np.empty((2, end - begin))
@@ -140,8 +140,8 @@ def _beyond(borders: Lines, k: I64, x: F64, y: F64) -> F64:
 
 @called
 def _nearest(borders: Lines, most: I64, fastest: F64, wx: F64, wy: F64, x: F64, y: F64, along: BOOL) -> tuple[F64, F64, I64]:
-    """The allowed point nearest to a wish from where that stands in the circle, or with `along` the farthest along it; and which
-    border left none."""
+    """Return the allowed point nearest to the wish, starting from (x, y) in the circle; with `along`, the farthest in its
+    direction. Also return the index of the border that left no allowed point."""
     px, py, dx, dy, there = borders
     bx, by = x, y
     for k in range(most):
@@ -162,7 +162,7 @@ def _nearest(borders: Lines, most: I64, fastest: F64, wx: F64, wy: F64, x: F64, 
                 if away < 0.0:
                     return bx, by, k
                 continue
-            # Which of the two it bounds is as likely as not: both are worked out, and no branch has to be foretold.
+            # Either bound is equally likely: both are computed, so no branch has to be predicted.
             at, above = away / cross, cross > 0.0
             high = min(high, at if above else np.inf)
             low = max(low, -np.inf if above else at)
@@ -180,7 +180,7 @@ def _nearest(borders: Lines, most: I64, fastest: F64, wx: F64, wy: F64, x: F64, 
 
 @called
 def _least_forbidden(borders: Lines, between: Any, most: I64, fastest: F64, x: F64, y: F64, failed: I64) -> tuple[F64, F64]:
-    """The point that is least far beyond any border, from the one that those before `failed` allow."""
+    """Return the point with the least violation of any border, starting from the point that the borders before `failed` allow."""
     px, py, dx, dy, there = borders
     qx, qy, ex, ey, some = between
     bx, by, deepest = x, y, 0.0
@@ -207,9 +207,10 @@ def _least_forbidden(borders: Lines, between: Any, most: I64, fastest: F64, x: F
 
 
 def widest_gaps(x: Floats, y: Floats, there: NDArray[np.bool_]) -> tuple[Floats, Floats]:
-    """Unit ways, float64[n] ahead and to the left, into the middle of the widest gap between the bearings of neighbours, who are
-    at `x` ahead and `y` to the left, float64[n,m], where they are `there`. One neighbour leaves a gap all round, whose middle is
-    straight away from it; of equally wide gaps that nearest to straight ahead, then that to the left. 0 without neighbours."""
+    """Return unit directions, float64[n] ahead and to the left, into the middle of the widest gap between the bearings of
+    neighbours. Neighbours are at `x` ahead and `y` to the left, float64[n,m], where they are `there`. One neighbour leaves a gap
+    all round, with its middle straight away from it. Of equally wide gaps, the one nearest to straight ahead wins, then the one
+    to the left. Without neighbours the result is 0."""
     n, most = x.shape
     if not most:
         return np.zeros(n), np.zeros(n)

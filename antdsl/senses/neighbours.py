@@ -1,5 +1,5 @@
-"""Agents near agents: a sorted cell grid takes positions and answers with (query, neighbour) pairs within a radius.
-The pairs are the same bits, in the same order, whatever the rows' order, the chunk or the cell size."""
+"""Agents near agents: a sorted cell grid of positions that returns (query, neighbour) pairs within a radius. The pairs have the
+same bits, in the same order, for any order of rows, chunk or cell size."""
 
 from __future__ import annotations
 
@@ -36,9 +36,9 @@ Found = tuple[Array1[I64], Array1[I64], Array1[F32], Array1[F32], Array1[F32], A
 
 
 class Progress(NamedTuple):
-    """How far a search came: the next query, the pairs found, and how long `spans` and `near` must be to continue.
+    """Progress of a search: the next query, the number of pairs, and how long `spans` and `near` must be to continue.
 
-    `near` is -1 where a query has more others within its radius than are allowed."""
+    `near` is -1 if a query has more others within its radius than allowed."""
 
     query: I64
     pairs: I64
@@ -47,18 +47,17 @@ class Progress(NamedTuple):
 
 
 class TooManyWithin(Exception):
-    """More others lie within the radius of one query than were to be looked through."""
+    """More others are within the radius of one query than may be examined."""
 
 
 @dataclass(frozen=True, slots=True)
 class Pairs:
     """Pairs within reach, sorted by `i`, then the neighbour's cell, then its id. All arrays have one length.
 
-    The order of rows is not observable in them; the order within one `i` may change with the whole crowd's extent.
+    They do not depend on the order of rows. The order within one `i` may change with the extent of the whole crowd.
 
-    `i` counts queries from 0, `j` is the row of the neighbour in the grid, `dx dy dz` is neighbour minus query and
-    `distance` its length, in float32 millimetres.
-    """
+    `i`: index of the query from 0; `j`: row of the neighbour in the grid; `dx dy dz`: neighbour minus query; `distance`: its
+    length, float32 mm."""
 
     i: Rows
     j: Rows
@@ -75,9 +74,8 @@ class Pairs:
 class CellGrid:
     """Agents sorted into cells: rows along the crowd's longest axis, cut four times finer than across.
 
-    `x y z` are float32[n] in millimetres, `ids` int64[n] unique, `cell` the usual radius of a query: any radius works,
-    this one fastest. An agent at a place that is not finite is nobody's neighbour.
-    """
+    `x y z`: float32[n] in millimetres. `ids`: int64[n], unique. `cell`: the usual radius of a query; any radius works, this one
+    fastest. An agent at a position that is not finite is never a neighbour."""
 
     def __init__(self, x: Floats, y: Floats, z: Floats, ids: NDArray[np.int64], cell: float, threads: int = 1) -> None:
         self.x, self.y, self.z, self.ids = x, y, z, ids
@@ -100,14 +98,12 @@ class CellGrid:
         threads: int = 1,
         limit: int | None = None,
     ) -> Pairs:
-        """Neighbours of the agents `rows` (all when None) within `radius` (one, or one for each of `rows`).
+        """Return neighbours of the agents `rows` (all when None) within `radius` (one, or one for each of `rows`).
 
-        Without `qx qy qz` the grid's own agents ask, and nobody is their own neighbour. With them those agents ask: `rows`
-        selects from them, and `qid` says who they are when they are the grid's own, where the grid has them. At most
-        `limits.NEIGHBOURS` of an agent are kept, the nearest by (distance, id). `view`, one value for each query, leaves
-        those of them in its field of view. Raises TooManyWithin, before much is spent, where more than `limit` others lie
-        within the radius of one.
-        """
+        Without `qx qy qz`, queries are for the grid's own agents, and no agent is its own neighbour. With them, queries are for
+        those agents: `rows` selects from them, and `qid` gives their ids if they are in the grid. At most `limits.NEIGHBOURS` of
+        an agent are returned, the nearest by (distance, id). `view`, one value for each query, keeps only neighbours in its field
+        of view. Raises TooManyWithin early if an agent has more than `limit` others within its radius."""
         if qx is None or qy is None or qz is None:
             qx, qy, qz, qid = self.x, self.y, self.z, self.ids
         if rows is not None:
@@ -149,8 +145,9 @@ class CellGrid:
 
 
 def _find(grid: tuple[Any, ...], axes: tuple[int, ...], query: list[NDArray[Any]], limit: int) -> tuple[NDArray[Any], ...] | None:
-    """Pairs of all queries [m] as `Pairs` has them; None where one has more than `limit` others within its radius. `query`: x, y,
-    z, ids (empty where they are not the grid's own), radius; heading x, y, z and cosine, empty where all round is asked about."""
+    """Return pairs of all queries [m] as `Pairs` has them; None if a query has more than `limit` others within its radius.
+    `query`: x, y, z, ids (empty if they are not the grid's own), radius; heading x, y, z and cosine, empty for all-round
+    queries."""
     places, (who, radius, hx, hy, hz, cosine) = query[:3], query[3:]
     asking = (tuple(places), tuple(places[axis] for axis in axes), who, radius, (hx, hy, hz), cosine)
     m = radius.size
@@ -171,19 +168,19 @@ def _find(grid: tuple[Any, ...], axes: tuple[int, ...], query: list[NDArray[Any]
 
 @inlined
 def _lower(q: F64, low: F64, inverse: F64, size: I64) -> I64:
-    """Cell of the lower end of a span, at least 0 and at most `size`."""
+    """Return the cell of the lower end of a span, at least 0 and at most `size`."""
     return math.floor(min(max((q - low) * inverse, 0.0), float(size)))
 
 
 @inlined
 def _upper(q: F64, low: F64, inverse: F64, size: I64) -> I64:
-    """Cell of the upper end of a span, at least -1 and below `size`."""
+    """Return the cell of the upper end of a span, at least -1 and below `size`."""
     return math.floor(min(max((q - low) * inverse, -1.0), size - 1.0))
 
 
 @inlined
 def _off(q: F64, cell: I64, low: F64, width: F64) -> F64:
-    """Least distance along an axis from q to a cell, rounded down."""
+    """Return the least distance along an axis from q to a cell, rounded down."""
     edge = low + cell * width
     return max(max(edge - q, q - (edge + width)), 0.0) * _INWARD
 
@@ -202,10 +199,10 @@ def _spans(
     size: Sizes,
     spans: Array1[I64],
 ) -> tuple[I64, I64]:
-    """Sorted agents in reach of a place as spans (first, beyond the last); a, b, c along the grid's fast, middle and slow axis.
+    """Find the sorted agents in reach of a position as spans (first, one past the last). a, b, c: the position along the grid's
+    fast, middle and slow axis.
 
-    Gives the number of spans and of agents in them; or -1 and how long `spans` must be.
-    """
+    Returns the number of spans and of agents in them; or -1 and the required length of `spans`."""
     tiny = 1e-14 * max(max(abs(a), abs(b)), abs(c)) + 1e-18
     r = radius * _SLACK + tiny
     b0, b1 = _lower(b - r, low[1], inverse[1], size[1]), _upper(b + r, low[1], inverse[1], size[1])
@@ -240,8 +237,8 @@ def _bound(
     sx: Array1[F32], sy: Array1[F32], sz: Array1[F32], names: Array1[I64], near: Array1[I64], found: I64, x: F32, y: F32, z: F32,
     reach: F32, name: I64,
 ) -> tuple[F32, I64]:  # fmt: skip
-    """The distance and id of the last of the nearest `NEIGHBOURS` of the first `found` agents of `near` to a place, without the
-    agent `name`: by bisection of the distance's bits, and of the ids at that distance."""
+    """Return distance and id of the last of the `NEIGHBOURS` agents nearest to a position, among the first `found` agents of
+    `near` without the agent `name`. It uses bisection of the distance's bits, and of the ids at that distance."""
     low, high = 0, as_bits(np.float64(reach)) >> _ZEROS
     before, closer = 0, 0
     while low < high:
@@ -278,10 +275,9 @@ def _bound(
 def _fill(
     grid: Grid, query: Query, limit: I64, spans: Array1[I64], near: Array1[I64], pairs: Found, k: I64, used: I64
 ) -> Progress:
-    """Go on with query k, with so many pairs found before it, until an array is too short.
+    """Continue with query k, after `used` earlier pairs, until an array is full.
 
-    Of more than `NEIGHBOURS` the nearest are taken, by distance and id.
-    """
+    Of more than `NEIGHBOURS`, the nearest are taken, by distance and id."""
     (sx, sy, sz), rows, names, keys, starts, low, inverse, width, size = grid
     (qx, qy, qz), (fast, middle, slow), who, radius, (hx, hy, hz), cosine = query
     i, j, dx, dy, dz, distance = pairs

@@ -1,4 +1,4 @@
-"""How far bodies stand inside each other. Many in one place cost no more than as many side by side."""
+"""Measures how far bodies overlap. Many at one position cost no more than as many next to each other."""
 
 from __future__ import annotations
 
@@ -12,15 +12,15 @@ from antdsl.senses.touching import all_within_reach
 Floats = NDArray[np.float32]
 
 _WIDER, _LEAST = 1 + 1e-6, 1e-9  # than bodies reach, for distances are rounded; mm, of bodies without a radius
-_NEAREST = 8  # neighbours that are asked for first; twice as many again where these do not settle it
+_NEAREST = 8  # neighbours of the first query; each further query doubles the number until the result is certain
 
 
 def worst_overlaps(x: Floats, y: Floats, z: Floats, radius: Floats) -> Floats:
-    """Of each agent (float32[n], mm) how far it stands inside the worst of the others: 0 apart, 1 in one place.
+    """Return how far each agent (float32[n], mm) overlaps its worst neighbour: 0 apart, 1 at one position.
 
-    That is the greatest of 1 - distance / (sum of both radii), exactly, whatever the crowd: where agents stand so dense that a
-    list of all pairs would grow with their square, nearest neighbours are asked for until no one farther off can be worse.
-    """
+    The value is the greatest of 1 - distance / (sum of both radii), exact for any crowd. In dense crowds, a list of all pairs
+    would grow with the square of the number of agents. Therefore nearest neighbours are queried until none farther off can be
+    worse."""
     x, y, z, radius = plain(x, y, z, radius)
     found, wide = np.zeros(len(x), np.float32), [each.astype(np.float64) for each in (x, y, z, radius)]
     pairs = all_within_reach((wide[0], wide[1], wide[2]), np.maximum(wide[3], 0) * _WIDER + _LEAST)
@@ -77,7 +77,7 @@ def _by_nearest(place: Floats, radius: Floats) -> Floats:
 def worst(
     x: Array1[F32], y: Array1[F32], z: Array1[F32], radius: Array1[F32], i: Array1[I64], j: Array1[I64], found: Array1[F32]
 ) -> None:
-    """Write the worst overlap of each agent to `found`, which is zeros, from pairs of agents."""
+    """Write the worst overlap of each agent, from pairs of agents, to `found`, which is zero before."""
     for k in range(i.size):
         a, b = i[k], j[k]
         one, two, three = x[b] - x[a], y[b] - y[a], z[b] - z[a]

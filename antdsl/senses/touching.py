@@ -1,9 +1,8 @@
-"""Which agents are near enough to touch: every pair once, from cells as wide as two of them.
+"""Agents near enough to touch: every pair once, from cells as wide as two agents.
 
-Method: a uniform grid and half of each cell's surroundings (C. Ericson, Real-Time Collision Detection, 2005, 7.1), one grid for
-agents of much the same size, whom all smaller ones ask as well. Where agents lie in a heap, each is paired with a bounded number
-of those in reach, so that many in one place cost no more than as many side by side.
-"""
+Method: a uniform grid and half of each cell's surroundings (C. Ericson, Real-Time Collision Detection, 2005, 7.1). There is one
+grid for agents of similar size; all smaller agents query it as well. In a dense cluster, each agent is paired with a bounded
+number of those in reach. Thus many agents at one position cost no more than as many next to each other."""
 
 from __future__ import annotations
 
@@ -30,19 +29,18 @@ Bounds = list[tuple[float, float]]
 Agents = tuple[Array1[F64], Array1[I32], Array1[I64]]
 Room = tuple[Array1[I32], Array1[I32], Array1[I32]]
 
-_MOST = 48  # of one row of three cells, with whom an agent is paired: more than stand side by side in it
+_MOST = 48  # agents of one row of three cells that an agent is paired with: more than fit next to each other in it
 _ALONG = 1 << 20  # cells along an axis at most
-_SHEET = 8  # pairs of cell mates for each agent, up to which layers above each other are not told apart
+_SHEET = 8  # pairs of cell mates for each agent, up to which layers above each other are not separated
 _ONE_LAYER = 3  # cells along the shortest axis where all lie in one layer: one is free at either end
-_TOGETHER = 64  # agents whose candidates are listed before these are measured
-_FETCHED = 40  # agents whose positions are brought near before they are written
+_TOGETHER = 64  # agents of which the candidates are listed before they are measured
+_FETCHED = 40  # agents of which the positions are prefetched before they are written
 _WRITTEN = 4  # candidates of a span that are always written
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Pairs:
-    """Rows `i` and `j` of pairs, each once and in no order. `all_of_them`: False where a heap was so dense that some are left
-    out."""
+    """Rows `i` and `j` of pairs, each once and in no order. `all_of_them`: False if a dense cluster led to omitted pairs."""
 
     i: Rows
     j: Rows
@@ -51,8 +49,8 @@ class Pairs:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Touching:
-    """Whom each agent of a species touches of one species, the deepest first, then by id: those of row r are `ids[starts[r]:
-    starts[r + 1]]`. `near`: so deep that a contact may begin."""
+    """The agents of one species that each agent of a species touches, the deepest first, then by id. Those of row r are
+    `ids[starts[r]:starts[r + 1]]`. `near`: deep enough that a contact may begin."""
 
     starts: Rows
     ids: NDArray[np.int64]
@@ -60,10 +58,10 @@ class Touching:
 
 
 def within_reach(place: Three, reach: Floats, order: NDArray[np.int64], bounds: Bounds | None = None) -> Pairs:
-    """Pairs of agents that are no farther apart than the sum of their reaches (float64[n], mm). `place`: x, y and z float64[n],
-    mm; `order` int64[n], different for all, says who counts first in a heap, whatever the rows. Agents without a finite place
-    and reach are in no pair. `bounds`: the least and the greatest x, y, z and reach, where they are known, not finite where any
-    of them is not."""
+    """Return pairs of agents that are no farther apart than the sum of their reaches (float64[n], mm). `place`: x, y and z
+    float64[n], mm. `order` int64[n], all different: which agents count first in a dense cluster, whatever the rows. Agents
+    without a finite position and reach are in no pair. `bounds`: the least and the greatest x, y, z and reach, if known; not
+    finite if any of them is not."""
     found = all_within_reach(place, reach, bounds)
     if found is None:
         found = _within_reach(place, reach, order, bounds, True)
@@ -72,12 +70,12 @@ def within_reach(place: Three, reach: Floats, order: NDArray[np.int64], bounds: 
 
 
 def all_within_reach(place: Three, reach: Floats, bounds: Bounds | None = None) -> Pairs | None:
-    """The same where all pairs are found, else None."""
+    """As `within_reach`, but return None unless all pairs are listed."""
     return _within_reach(place, reach, NO_ORDER, bounds, False)
 
 
 def _within_reach(place: Three, reach: Floats, order: NDArray[np.int64], bounds: Bounds | None, heaps: bool) -> Pairs | None:
-    """Pairs of all agents; None where there are heaps that are not to be met in part."""
+    """Return pairs of all agents; None if there are dense clusters and `heaps` does not allow to leave out pairs."""
     rows, (x, y, z, reach) = NO_ORDER, plain(*place, reach)
     place = x, y, z
     if bounds is None and len(reach):
@@ -94,13 +92,13 @@ def _within_reach(place: Three, reach: Floats, order: NDArray[np.int64], bounds:
 
 
 def _bounds(numbers: Sequence[Floats], rows: Rows = NO_ORDER) -> Bounds:
-    """The least and the greatest of some numbers each, of some rows (none: of all)."""
+    """Return the least and the greatest value of each array, over some rows (none: over all)."""
     return [(float(each.min()), float(each.max())) for each in (n[rows] if rows.size else n for n in numbers)]
 
 
 def _among(place: Three, reach: Floats, rows: Rows, bounds: Bounds, heaps: bool) -> Pairs | None:
-    """Pairs among rows (none: all) within bounds; None where there are heaps that are not to be met in part. In a heap the first
-    rows count first."""
+    """Return pairs among rows (none: all) within bounds. Returns None if there are dense clusters and `heaps` is False. In a
+    dense cluster the first rows count first."""
     low, high = bounds[3]
     if 2 * low >= high:
         return _joined([_Grid.of(place, reach, rows, bounds).pairs(heaps)])
@@ -124,9 +122,9 @@ def _joined(found: Sequence[Pairs | None]) -> Pairs | None:
 
 
 class _Grid(NamedTuple):
-    """Agents of much the same size in the order of their cells, of which one is free at either end of each axis: `axes` from the
-    longest to the shortest, and along them low corners (mm), cells in a millimetre, and numbers of cells, 1 where layers are not
-    told apart; `agents` as in kernels; `starts`: the first agent of each cell, empty where there are too many for a table."""
+    """Agents of similar size in the order of their cells, with one free cell at either end of each axis. `axes`: from the longest
+    to the shortest. Along them: low corners (mm), cells per millimetre, and numbers of cells, 1 if layers are not separated.
+    `agents`: as in kernels. `starts`: the first agent of each cell, empty if there are too many for a table."""
 
     axes: tuple[int, ...]
     low: tuple[float, ...]
@@ -164,24 +162,26 @@ class _Grid(NamedTuple):
         return self.size[0] * self.size[1] * self.size[2]
 
     def _numbers(self) -> tuple[Any, ...]:
-        """What kernels number cells by: low corners, cells in a millimetre, sizes, and the number of the first one in use."""
+        """Return what kernels need to number cells: low corners, cells per millimetre, sizes, and the index of the first cell in
+        use."""
         across, broad, deep = self.size
         first, rate = (broad + 1) * across + 1 if deep > 1 else across + 1, self.rate
         return self.low, (rate, rate, rate if deep > 1 else 0.0), self.size, first
 
     def _counted(self, place: Three, rows: Rows, keys: NDArray[np.int64], most: int) -> tuple[NDArray[np.int32], int]:
-        """Store the cells of rows. Gives a table of how many are in each, empty where there are more than `most` cells, and how
-        many pairs share one."""
+        """Store the cells of rows. Returns a table of the number of rows in each, empty if there are more than `most` cells, and
+        the number of pairs that share one."""
         counts = np.empty((1, self.cells + SPARE if self.cells <= most else 0), np.int32)
         return counts, _count(along(self.axes, place), *self._numbers(), rows, keys, counts, 0, SHARES)
 
     def pairs(self, heaps: bool) -> Pairs | None:
-        """Those among its agents: each with those after it in its cell and in the half of the surroundings that comes after."""
+        """Return the pairs among the grid's agents: each agent with later ones in its cell, and with those in the later half of
+        its neighbour cells."""
         across, layer = self.size[0], self.size[0] * self.size[1]
         return self._found(self.agents, [0, across, layer - across, layer, layer + across], True, heaps)
 
     def pairs_with(self, place: Three, reach: Floats, rows: Rows, heaps: bool) -> Pairs | None:
-        """Those of other rows with its agents: each with all in the cells around."""
+        """Return the pairs of other rows with the grid's agents: each row with all agents in its cell and the neighbour cells."""
         across, layer = self.size[0], self.size[0] * self.size[1]
         around = [deep * layer + aside * across for deep in (0, -1, 1) for aside in (-1, 0, 1)]
         places, own, keys = np.empty(4 * rows.size), np.empty(rows.size, np.int32), np.empty(rows.size, np.int64)
@@ -191,7 +191,8 @@ class _Grid(NamedTuple):
     def _found(
         self, asking: tuple[Floats, NDArray[np.int32], NDArray[np.int64]], around: list[int], own: bool, heaps: bool
     ) -> Pairs | None:
-        """Pairs of agents that ask, with others in rows of three cells at distances from theirs."""
+        """Return the pairs of requesting agents with others in rows of three cells, at the offsets `around` from their own
+        cell."""
         if self.size[2] == 1:
             around = around[: 2 if own else 3]
         count, shifts = asking[1].size, np.array(around, np.int64)
@@ -218,7 +219,7 @@ def _put(
     places: Columns, reach: Array1[F64], order: Array1[I64], keys: Array1[I64], counts: Array2[I32], ordered: Array1[F64],
     rows: Array1[I32], cells: Array1[I64],
 ) -> None:  # fmt: skip
-    """Put x, y, z and reach, by fours, the row and the cell of each agent at its position."""
+    """Write x, y, z and reach (in groups of four), the row and the cell of each agent at its position."""
     for k in range(keys.size):
         if counts.shape[1] > 0:
             fetch_ahead(ordered, 4 * counts[0, keys[min(k + _FETCHED, keys.size - 1)] + 1])
@@ -234,7 +235,7 @@ def _ask(
     places: Columns, along: Columns, reach: Array1[F64], low: Corner, inverse: Corner, size: Sizes, shift: I64,
     order: Array1[I64], asking: Array1[F64], rows: Array1[I32], cells: Array1[I64],
 ) -> I64:  # fmt: skip
-    """Put rows that are no farther from cells in use than one cell, one after another; gives how many these are."""
+    """List the rows that are at most one cell away from cells in use; return their number."""
     used = 0
     for k in range(order.size):
         row = order[k]
@@ -256,10 +257,12 @@ def _filled(
     asking: Agents, agents: Agents, starts: Array1[I32], cells: I64, shifts: Array1[I64], own: BOOL, most: I64, heaps: BOOL,
     room: Room, i: Array1[I64], j: Array1[I64],
 ) -> tuple[I64, I64]:  # fmt: skip
-    """Fill `i` and `j` with pairs and give how many there are and in how many spans some are left out. -3: these are too short;
-    -2: there are more than `most` agents in three cells in a row, and heaps are not to be met in part. `shifts`: numbers of the
-    cells in the middle of three, less that of the agent's own; `own`: agents ask about those after them, first in their cell.
-    `room`: candidates of some agents, listed without a branch that is hard to foretell, and who is near."""
+    """Fill `i` and `j` with pairs. Returns their number, and in how many spans some are left out.
+
+    Instead of the number: -3 if `i` and `j` are too short; -2 if three cells in a row have more than `most` agents, and `heaps`
+    does not allow to leave out pairs. `shifts`: offsets of the middle of three cells from the agent's own cell. `own`: pairs only
+    with later agents, first in the agent's own cell. `room`: buffers for candidates, listed without an unpredictable branch, and
+    for those that are near."""
     (asks, asking_rows, asking_keys), (ordered, rows, keys), (one, other, near) = asking, agents, room
     used, count, left_out = 0, asking_rows.size, 0
     for begin in range(0, count, _TOGETHER):

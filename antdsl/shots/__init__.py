@@ -1,3 +1,2 @@
-"""Shots of a sequence and frames of caches as tasks of an executor: what is done where they run (`caches`, `stills`,
-`exports`), and how the
-files that they make come to the folder that was named (`placing`)."""
+"""Shots of a sequence and frames of caches as tasks of an executor: the work at the worker (`caches`, `stills`, `exports`), and
+the transfer of its files to the requested folder (`placing`)."""

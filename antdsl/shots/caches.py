@@ -1,4 +1,4 @@
-"""The shots of a sequence as tasks: each simulates a scene into a cache of its own."""
+"""The shots of a sequence as tasks: each simulates a scene into a separate cache."""
 
 from __future__ import annotations
 
@@ -24,8 +24,8 @@ KINDS = ("frames", "checkpoints")  # folders of a cache that have a file a frame
 
 
 def task(shot: Shot, scene: Path, choices: Choices, options: Mapping[str, Any], to: Destination, name: str) -> Task:
-    """A task that writes the cache of a shot into the folder `name` of a destination. `options`: of `Options` but threads, and
-    `resume` and `force`. StartError as the shot has it."""
+    """Return a task that writes the cache of a shot to the folder `name` of a destination. `options`: those of `Options` except
+    threads, and `resume` and `force`. Raises StartError like the shot."""
     scene = real_path(scene)
     document = {
         "scene": str(scene),

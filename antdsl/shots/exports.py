@@ -1,4 +1,4 @@
-"""Exports that write a file for each frame as tasks, some frames each."""
+"""Exports with a file for each frame as tasks, each for some frames."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ CHUNK = 8  # frames of a task
 def tasks(
     cache: Path, name: str, form: str, ids: frozenset[int] | None, frames: Sequence[int], to: Destination
 ) -> Iterator[Task]:
-    """Tasks that write all frames as files called after `name`. `cache`: whole, without links."""
+    """Yield tasks that write all frames to files with names from `name`. `cache`: an absolute path without links."""
     chosen = None if ids is None else sorted(ids)
     about = {"cache": str(cache), "name": name, "form": form, "ids": chosen, "folder": to.folder, "token": to.token}
     head = hashlib.blake2b(json.dumps(about).encode(), digest_size=8).hexdigest()

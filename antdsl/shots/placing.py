@@ -1,5 +1,5 @@
-"""Where a task puts its files: into the folder that was named, where it is seen, else into one of the worker's own, from which
-they are fetched, part by part, and put in their place whole."""
+"""Where a task writes its files: to the requested folder, if the worker can access it. Otherwise to a folder of the worker, from
+which they are fetched in parts and moved into place when complete."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from antdsl.executors import Answered, Executors, Lost, Refused, Task, Worker, r
 from antdsl.limits import MADE_BYTES
 from antdsl.whole import make_folder, new_beside, whole_file
 
-_TRIES = 3  # how often a task is done whose files cannot be fetched
+_TRIES = 3  # number of attempts of a task with files that cannot be fetched
 
 
 class Fetching(Protocol):
@@ -28,13 +28,13 @@ class Fetching(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class Destination:
-    """A folder, and a file in it by which whoever sees the same folder knows it."""
+    """A folder with a marker file, by which a worker recognises the folder if it can access it."""
 
     folder: str
     token: str
 
     def place(self, worker: Worker, key: str) -> Path:
-        """Where a task is to put its files on this machine."""
+        """Return the folder to which a task writes its files on this machine."""
         if worker.scratch is None or (Path(self.folder) / self.token).is_file():
             return Path(self.folder)
         made = worker.scratch / key
@@ -42,7 +42,7 @@ class Destination:
         return made
 
     def made(self, worker: Worker, place: Path, key: str) -> dict[str, Any]:
-        """The answer of a task that has put files there: what is to be fetched. Refused where that is too much."""
+        """Return the answer of a task after it has written files: what is to be fetched. Raises Refused if it is too large."""
         if place == Path(self.folder):
             return {"worker": "", "made": key, "files": []}
         files = [path for path in sorted(place.rglob("*")) if path.is_file()]
@@ -72,8 +72,8 @@ def fetched(
     told: Callable[[Task, int], None] = lambda task, frame: None,
     noted: Callable[[str], None] = lambda sentence: None,
 ) -> Iterator[Answered]:
-    """Run tasks whose answers are `Destination.made`, and give each once its files are in their folder. A task is done again
-    where its worker is gone before all of them are fetched."""
+    """Run tasks with `Destination.made` answers, and yield each once its files are in their folder. A task runs again if its
+    worker is gone before all files are fetched."""
     again: list[Task] = list(tasks)
     for attempt in range(_TRIES):
         waiting, again = again, []

@@ -1,4 +1,4 @@
-"""Stills of a cache as tasks, a few frames each: a cache's frames are independent."""
+"""Stills of a cache as tasks, a few frames each: the frames of a cache are independent."""
 
 from __future__ import annotations
 
@@ -19,7 +19,8 @@ CHUNK = 4  # frames of a task
 
 
 def tasks(cache: Path, wanted: Drawn, frames: Sequence[int], together: Sequence[int], to: Destination) -> Iterator[Task]:
-    """Tasks that draw all frames. `cache`: whole, without links; `together`: the frames that the camera is chosen for."""
+    """Yield tasks that draw all frames. `cache`: an absolute path without links; `together`: the frames for which the camera is
+    chosen."""
     about = {"cache": str(cache), "wanted": wanted.document(), "all": list(together), "folder": to.folder, "token": to.token}
     head = hashlib.blake2b(json.dumps(about).encode(), digest_size=8).hexdigest()
     for start in range(0, len(frames), CHUNK):
@@ -28,7 +29,7 @@ def tasks(cache: Path, wanted: Drawn, frames: Sequence[int], together: Sequence[
 
 
 def stills(document: Mapping[str, Any], worker: Worker) -> dict[str, Any]:
-    """Draw some frames. What a drawer has made for the frames before is kept for the next task of the same pictures."""
+    """Draw some frames. The drawer of earlier frames is cached for the next task of the same pictures."""
     to = Destination(document["folder"], document["token"])
     drawn = json.dumps([document["cache"], document["wanted"], document["all"]])
     try:

@@ -1,9 +1,8 @@
-"""Numbers about wholes, exact whatever the order: totals of a species, of items, of a field; and the conditions over them.
+"""Numbers about wholes, exact in any order: totals of a species, of items, of a field; and the conditions over them.
 
-Totals and counts are kept in float64, correctly rounded (J. Shewchuk, Discrete & Computational Geometry 18, 1997: `math.fsum`);
-everything else is float32 as in the language. A sum, difference or comparison of totals among themselves and with whole numbers
-is done in float64, so that a crumb that is lost is seen however many there are.
-"""
+Totals and counts are stored in float64, correctly rounded (J. Shewchuk, Discrete & Computational Geometry 18, 1997: `math.fsum`).
+Everything else is float32 as in the language. Sums, differences and comparisons of totals and integers use float64, so that a
+tiny loss is visible in any number of agents."""
 
 from __future__ import annotations
 
@@ -24,13 +23,13 @@ _EXACT = frozenset(("add", "sub", "neg", "abs", "min", "max", "mul", "lt", "le",
 
 
 def exact_total(values: NDArray[Any]) -> np.float64:
-    """The sum, rounded once; not finite where a term is not."""
+    """Return the sum, rounded once; not finite if a term is not."""
     wide = np.asarray(values, np.float64)
     return np.float64(fsum(wide.tolist())) if np.isfinite(wide).all() else np.float64(wide.sum())
 
 
 def whole(world: World, judged: dict[str, Population], plan: WholePlan) -> Any:
-    """The number: float64 for totals and counts, float32 for all else. Of nobody: as for an empty set."""
+    """Return the number: float64 for totals and counts, float32 for all else. Without agents, it is as for an empty set."""
     if plan.kind == "field" and plan.body is None:
         values = world.fields[plan.of].values
         if plan.how == "count":
@@ -70,7 +69,7 @@ def _of_values(how: str, values: NDArray[Any], count: int) -> Any:
 
 
 def value_of(world: World, node: ir.Node, spec_values: dict[str, Any]) -> Any:
-    """The value of a node that is the same for all agents, by the elementwise table of the backends."""
+    """Return the value of a node that is equal for all agents, from the elementwise table of the backends."""
     values: dict[ir.Node, Any] = {}
     with np.errstate(all="ignore"):
         for each in needed((node,)):
@@ -86,7 +85,8 @@ def value_of(world: World, node: ir.Node, spec_values: dict[str, Any]) -> Any:
 
 
 def _is_exact(node: ir.Node, value: Any) -> bool:
-    """A total, what is made of totals alone, a truth, or a whole number as written."""
+    """Return whether a value is exact: a total, a value computed only from totals, a truth value, or a whole number as in the
+    source."""
     if isinstance(value, np.float32):
         return node.op == "const" and float(value).is_integer()
     return True

@@ -1,4 +1,4 @@
-"""The cases that paths mean: a spec, its scene and a seed each; and what became of them."""
+"""The cases of paths: a spec, its scene and a seed each; and their outcomes."""
 
 from __future__ import annotations
 
@@ -24,9 +24,9 @@ TOLD_AGENTS = 8  # ids that a failure names
 
 @dataclass(frozen=True, slots=True)
 class Failure:
-    """What a spec expected and did not see. `values`: text as written and its value. `agent`: species and id of the first of
-    those that `each` is about, `others`: how many more in that frame, `agents`: the ids of the first of them. `began`: the frame
-    in which the agent's time began that was over. `whereabouts`: its states and its place, by name."""
+    """An expectation of a spec that was not met. `values`: text as in the source and its value. `agent`: species and id of the
+    first failing agent of an `each`; `others`: how many more in that frame; `agents`: the ids of the first of them. `began`: the
+    frame in which the agent's expired waiting time began. `whereabouts`: its states and its position, by name."""
 
     message: str
     span: Span | None
@@ -42,8 +42,8 @@ class Failure:
 
 @dataclass(frozen=True, slots=True)
 class SavedFrames:
-    """Where the frames `begins` .. `frame` that led up to a failure lie as a cache, with the commands that show them and that go
-    on from there. `note`: what did not work; then there may be no folder."""
+    """The cache with the frames `begins` .. `frame` before a failure, and the commands that show them and that continue from
+    there. `note`: what did not work; then there may be no folder."""
 
     folder: Path | None
     note: str = ""
@@ -63,8 +63,8 @@ class Opponent:
 
 @dataclass(slots=True, eq=False)
 class Case:
-    """One spec with one seed. `outcome`: passed, failed, allowed where it failed and enough of the other seeds did not, or
-    waiting where it was not run to its end."""
+    """One spec with one seed. `outcome`: passed; failed; allowed, if it failed but enough other seeds passed; or waiting, if it
+    was not run to its end."""
 
     spec: Spec
     plan: SpecPlan
@@ -84,7 +84,7 @@ class Case:
 
 @dataclass(slots=True, eq=False)
 class Run:
-    """Cases that are judged in one and the same simulation."""
+    """Cases that are judged in the same simulation."""
 
     shot: Shot
     seed: int
@@ -94,10 +94,10 @@ class Run:
 def cases(
     paths: Iterable[Path], *, grants: Mapping[str, Path] | None = None, seeds: int | None = None, named: str = ""
 ) -> tuple[list[Run], Report]:
-    """What there is to run for programs, scenes and folders, and complaints about files, scenes and specs.
+    """Return what to run for programs, scenes and folders, and a report on files, scenes and specs.
 
-    Folders are searched for programs; a scene counts when it is named. `seeds`: 1 to so many instead of each spec's own; `named`:
-    only specs whose name has this in it."""
+    Folders are searched for programs; a scene counts when it is named. `seeds`: 1 to this number instead of each spec's own.
+    `named`: only specs with this text in their name."""
     paths = list(paths)
     files, report = find_files(paths)
     parsed = CheckedOnce()
@@ -123,14 +123,14 @@ class _Finder:
         self.found: dict[tuple[Path, Span], tuple[Path, Spec]] = {}
 
     def add(self, file: Path, spec: Spec) -> None:
-        """A spec with its scene, once, however many paths lead there. A scene brings the specs that are meant for it."""
+        """Add a spec with its scene, only once for any number of paths. A scene adds the specs that run on it."""
         own = Path(spec.span.source.path)
         scene = self._scene(own, spec, file)
         if scene is not None and (file.suffix == ".ant" or scene.resolve() == file.resolve()):
             self.found.setdefault((scene.resolve(), spec.span), (scene, spec))
 
     def _scene(self, own: Path, spec: Spec, file: Path) -> Path | None:
-        """The scene of a spec; without `on`, the scene that was named, or `scene.yaml` beside the program."""
+        """Return the scene of a spec; without `on`, the scene of the path, or `scene.yaml` next to the program."""
         folder = own.resolve().parent
         if spec.scene is None:
             if file.suffix != ".ant":
@@ -145,7 +145,7 @@ class _Finder:
         return self._named(own, spec.scene)
 
     def _named(self, own: Path, name: Text) -> Path | None:
-        """The scene with a name beside a program, or in a granted root."""
+        """Return the named scene next to a program, or in a granted root."""
         roots = Roots(own.resolve().parent, self.grants)
         try:
             roots.exists(name.text)
@@ -170,7 +170,8 @@ class _Finder:
         return list(made.values())
 
     def _opponent(self, scene: Path, spec: Spec) -> Opponent | None:
-        """The other run of a spec that compares: the spec's own changes hold there as well, but for those it says otherwise."""
+        """Return the other run of a comparing spec. The spec's own changes also apply there, unless `against` changes the same
+        names."""
         assert spec.against is not None
         if spec.against.scene is not None:
             found = self._named(Path(spec.span.source.path), spec.against.scene)
@@ -191,7 +192,7 @@ class _Finder:
         return self.shots[key]
 
     def _plan(self, shot: Shot, spec: Spec, scene: Path) -> SpecPlan | None:
-        """The spec as the scene's own program has it: that may have more species than the file by itself."""
+        """Return the spec as the scene's own program has it, which may have more species than the file alone."""
         mine = _same(shot.program, spec)
         if mine is None:
             self.report.error(
@@ -218,7 +219,7 @@ def _head(spec: Spec) -> Span:
 
 @dataclass(frozen=True, slots=True)
 class Verdict:
-    """A spec that asks for a share of its seeds: how many of how many passed. `holds` is None while some are waiting."""
+    """A spec that requires a share of its seeds: how many of how many passed. `holds` is None while some are waiting."""
 
     spec: Spec
     passed: int
@@ -227,7 +228,7 @@ class Verdict:
 
 
 def settle(cases: Sequence[Case]) -> list[Verdict]:
-    """The verdicts, once everything has run. What failed in a spec of which enough passed is `allowed` from here on."""
+    """Return the verdicts after all runs. Failures in a spec of which enough seeds passed become `allowed`."""
     groups: dict[tuple[str, int, str], list[Case]] = {}
     for case in cases:
         if case.spec.share < 1:

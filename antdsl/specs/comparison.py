@@ -1,4 +1,4 @@
-"""The run that a spec compares with: run first, with the same seed; of each frame it keeps what the comparison asks for."""
+"""The run that a spec compares with. It runs first, with the same seed, and stores from each frame what the comparison needs."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ Place = tuple[str, int]
 
 
 class Rival:
-    """`look` at each frame of the other run from its first on. Frames are counted from there, so that two scenes may be numbered
-    differently. `dt`: seconds a frame."""
+    """The other run of a comparison. Call `look` at each of its frames, from the first on. Frames are counted from there, so that
+    two scenes may have different numbers. `dt`: seconds per frame."""
 
     def __init__(self, plan: SpecPlan, world: World) -> None:
         self.asker = Asker(plan, world)
@@ -29,7 +29,7 @@ class Rival:
         self.blank = {each.name: np.float32(np.nan) for each in plan.others}
 
     def look(self, world: World) -> None:
-        """Keep the numbers of this frame, and whether it is the first in which the condition of a `sooner` holds."""
+        """Store the numbers of this frame, and whether it is the first in which the condition of a `sooner` holds."""
         self.asker.ask(world, self.blank)
         self.seen.append({each.name: self.asker.value(world, each.value) for each in self.plan.others})
         for place, line in self.lines.items():
@@ -39,14 +39,14 @@ class Rival:
                 self.when.setdefault(place, world.frame - self.first)
 
     def values(self, frame: int) -> Mapping[str, Any]:
-        """The numbers of the other run in that frame from the first."""
+        """Return the numbers of the other run in this frame, counted from its first."""
         return self.seen[min(frame, len(self.seen) - 1)]
 
     def met(self, line: JudgementPlan) -> int | None:
-        """After how many steps a `sooner` held in the other run; None where it never did."""
+        """Return after how many steps a `sooner` held in the other run; None if it never did."""
         return self.when.get(_place(line))
 
 
 def _place(line: JudgementPlan) -> Place:
-    """A line by its place in the text, which is the same in both runs."""
+    """Return a line's location in the text, which is the same in both runs."""
     return line.span.source.path, line.span.start

@@ -1,4 +1,4 @@
-"""Which states somebody was in and which changes somebody made, over all runs together."""
+"""Which states agents were in and which transitions they made, over all runs together."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ Key = tuple[str, int, str]  # source, place in it, name
 
 @dataclass(slots=True)
 class Counted:
-    """A state (`forager.main.search`) or a change by its key (`forager.main.search->approach#1`), with how often it was met:
-    agents in a state each frame, agents that changed."""
+    """A state (`forager.main.search`) or a change by its key (`forager.main.search->approach#1`), with its count: agents in a
+    state per frame, or agents that changed."""
 
     name: str
     span: Span
@@ -26,7 +26,7 @@ class Counted:
 
 @dataclass(frozen=True, slots=True)
 class _Machine:
-    """A machine's states and changes in the order of their numbers in the plan; `taking` are changes that hang on a claim."""
+    """A machine's states and changes in the order of their numbers in the plan. `taking`: changes that depend on a claim."""
 
     species: str
     name: str
@@ -42,12 +42,12 @@ class Coverage:
 
     @property
     def share(self) -> float:
-        """Of all states and changes together, how many were met, from 0 to 1; 1 where there are none."""
+        """Return the share of all states and changes that occurred, from 0 to 1; 1 if there are none."""
         all = [*self.states.values(), *self.changes.values()]
         return sum(each.count > 0 for each in all) / len(all) if all else 1.0
 
     def watch(self, world: World, program: Program) -> None:
-        """Count in this world, its frame of now included."""
+        """Count in this world, including its current frame."""
         machines = [self._machine(s.name, m) for s in program.species.values() for m in s.machines]
         for machine in machines:
             states = world.populations[machine.species].now.get(f"{machine.name}.state")
@@ -81,7 +81,8 @@ def _count_all(world: World, machines: list[_Machine]) -> None:
 
 
 def _count(world: World, machine: _Machine) -> None:
-    """Called when all have acted: who dies in this step is still there. The changes are numbered as `plan.machines` does."""
+    """Count a step. Call it after all agents have acted, before those that die in it are removed. Changes are numbered as in
+    `plan.machines`."""
     population = world.populations[machine.species]
     before, after = (table.get(f"{machine.name}.state") for table in (population.start, population.now))
     if before is not None and after is not None:

@@ -1,8 +1,7 @@
-"""Keeps what led up to a failure: a cache whose every frame has a checkpoint, to be looked at and gone on from.
+"""Stores the frames before a failure: a cache with a checkpoint of every frame, to inspect and continue from.
 
-While a spec is judged, only a copy of the state every so many frames is held. When a case has failed, the frames from the last
-such copy before the failure are simulated once more, now into a cache.
-"""
+While a spec is judged, only periodic copies of the state are stored. After a failure, the frames from the last such copy are
+simulated once more, now into a cache."""
 
 from __future__ import annotations
 
@@ -31,12 +30,13 @@ from antdsl.specs.cases import Case, Run, SavedFrames
 from antdsl.whole import first_link
 
 EVERY = 12  # frames between two copies of the state
-MOST = 5  # cases kept of one `antdsl test`
+MOST = 5  # cases stored of one `antdsl test`
 
 
 @dataclass(frozen=True, slots=True)
 class Moment:
-    """When a case failed, the hash of the state there (none where the step itself did), and the state of a frame before."""
+    """The frame in which a case failed, the hash of its state (None if the step itself failed), and the state of an earlier
+    frame."""
 
     frame: int
     hash: str | None
@@ -48,15 +48,15 @@ class Moment:
 
 
 class Trail:
-    """Copies of a run's state, of which the last one is held. What moves by the scene's own frames goes on from the first
-    alone."""
+    """Copies of a run's state, of which only the last one is stored. If anything moves by the scene's frames, only the first copy
+    is stored, because the run can only continue from there."""
 
     def __init__(self, setting: Setting) -> None:
         self.whole = bool(setting.moves) or (setting.camera is not None and len(setting.camera.at) > 1)
         self.last: Arrays | None = None
 
     def keep(self, world: World) -> None:
-        """Called for each frame once it has been judged."""
+        """Store a copy if it is due. Call it for each frame after it was judged."""
         if self.last is None or (not self.whole and world.frame >= int(self.last["frame"]) + EVERY):
             self.last = checkpoint(world)
 
@@ -67,7 +67,7 @@ class Trail:
 
 @dataclass(slots=True)
 class Keeper:
-    """Saves failed cases below `folder`, or below `out/failed` beside their scenes."""
+    """Saves failed cases below `folder`, or below `out/failed` next to their scenes."""
 
     folder: Path | None
     grants: Mapping[str, Path]
@@ -75,7 +75,7 @@ class Keeper:
     count: int = 0
 
     def save(self, run: Run, case: Case, moment: Moment, built: Built) -> SavedFrames:
-        """Simulate up to the failure again, into a cache. What went wrong with that stands in the `SavedFrames`."""
+        """Simulate up to the failure again, into a cache. Problems are reported in the `SavedFrames`."""
         self.count += 1
         if self.count > MOST:
             return SavedFrames(None, f"not saved: only the first {MOST} are")
@@ -107,7 +107,7 @@ class Keeper:
         return SavedFrames(folder, note, moment.begins, moment.frame, look, f"{again} --out {here} --resume")
 
     def _record(self, shot: Shot, folder: Path, moment: Moment, built: Built) -> str:
-        """Write the frames from the copy to the failure; gives the hash of the last."""
+        """Write the frames from the copy to the failure; return the hash of the last."""
         model = shot.scene.model
         output = model.output.model_copy(update={"checkpoint": 1})
         short = FrameRange(moment.begins, moment.frame)
@@ -126,12 +126,12 @@ class Keeper:
 
 
 def slug(name: str) -> str:
-    """A name as a folder: letters, digits and hyphens."""
+    """Return a name as a folder name: letters, digits and hyphens."""
     return "-".join(re.findall("[a-z0-9]+", name.lower()))[:60].strip("-") or "spec"
 
 
 def _flag(shot: Shot, value: Expr) -> str:
-    """A changed value as `--set` takes it: as it is written, or its number with a unit where it was worked out."""
+    """Return a changed value as `--set` takes it: as in the source, or its number with a unit if it was computed."""
     text = "".join(value.span.text.split())
     try:
         parse_quantity(text)

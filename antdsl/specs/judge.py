@@ -1,4 +1,4 @@
-"""One spec over a run: looks at the world frame by frame, remembers what has to be remembered, says what was not as expected."""
+"""One spec over a run: it looks at the world frame by frame, stores what it needs, and reports what was not as expected."""
 
 from __future__ import annotations
 
@@ -23,8 +23,8 @@ _NUMBER = re.compile(NUMBER)
 
 
 class Judge:
-    """`look` at each frame from the first on, until `over`. `failures` in the order in which they were seen. `rival`: the run
-    that the spec compares with."""
+    """`look` at each frame from the first on, until `over`. `failures`: in order of detection. `rival`: the reference run that
+    the spec compares with."""
 
     def __init__(self, plan: SpecPlan, world: World, last: int, rival: Rival | None = None) -> None:
         self.plan, self.first, self.rival = plan, world.frame, rival
@@ -68,12 +68,12 @@ class Judge:
         return Seen(world.frame, final, judged.ids, begun, holds, asked, self._released(line, judged.ids))
 
     def _holds(self, world: World, node: ir.Node | str) -> bool:
-        """A condition on the whole; what is no number makes it false."""
+        """Evaluate a condition on the whole; NaN makes it false."""
         assert isinstance(node, ir.Node)
         return bool(self.asker.value(world, node))
 
     def _released(self, line: Line, ids: Ids) -> NDArray[np.bool_]:
-        """The agents for which an `until` of the same block has held before this frame."""
+        """Return the agents for which an `until` of the same block has held before this frame."""
         free = np.zeros(len(ids), np.bool_)
         for other in self.lines:
             if other.plan.kind == "until" and other.plan.block == line.plan.block:
@@ -81,7 +81,7 @@ class Judge:
         return free
 
     def _race(self, line: Line, seen: Seen) -> Ids:
-        """`sooner`: the condition has to hold here in an earlier frame, counted from the first, than in the other run."""
+        """Judge `sooner`: the condition must hold here in an earlier frame, counted from the first, than in the other run."""
         assert self.rival is not None
         holds = bool(len(line.look(seen)))
         when = self.rival.met(line.plan)
@@ -97,7 +97,7 @@ class Judge:
     def _seconds(self, steps: int) -> str:
         return f"{steps * self.rival.dt:.6g} s" if self.rival is not None else ""
 
-    # --- what is told ------------------------------------------------------------------------------------------------
+    # --- reporting ---------------------------------------------------------------------------------------------------
 
     def _values(self, world: World, there: World, plan: JudgementPlan, row: int | None) -> tuple[tuple[str, str], ...]:
         found: list[tuple[ReadingPlan, Any]] = []
@@ -109,7 +109,7 @@ class Judge:
         return _told(world, found, plan.span.text)
 
     def _failed(self, world: World, there: World, line: Line, agents: Ids) -> None:
-        """Close a line, and tell the values of the whole, or of the agent with the least id of those that it is about."""
+        """Close a line and report the values of the whole, or of the failed agent with the least id."""
         line.open = False
         plan, fps = line.plan, float(world.setting.fps)
         least = int(agents.min())
@@ -133,13 +133,14 @@ class Judge:
 
 
 def last_frame(plan: SpecPlan, world: World, last: int) -> int:
-    """The last frame of a spec that begins now: the scene's own, or after the spec's `for`."""
+    """Return the last frame of a spec that begins now: that of the scene, or after the spec's `for`."""
     steps = in_steps(world, plan.duration)
     return last if steps is None else world.frame + steps
 
 
 def _told(world: World, found: list[tuple[ReadingPlan, Any]], line: str) -> tuple[tuple[str, str], ...]:
-    """Texts and values; to the last place where different values, or a value and a number of the line, would look alike."""
+    """Return texts and values. Values have all digits if different values, or a value and a number of the line, would otherwise
+    look alike."""
     texts = [" ".join(reading.span.text.split()) for reading, _ in found]
     values = [shown(world, value, reading.type, reading.unit) for reading, value in found]
     written = {float(number) for number in _NUMBER.findall(line)}

@@ -1,7 +1,6 @@
-"""What each kind of line makes of its condition, frame by frame: who has failed it, and why.
+"""The kinds of lines: which agents fail a line in each frame, and why.
 
-A line about the whole is judged like one about a single agent with the id 0 that is there from the first frame on.
-"""
+A line about the whole is judged like one about a single agent with the id 0 that exists from the first frame on."""
 
 from __future__ import annotations
 
@@ -27,7 +26,8 @@ _NEVER = -(2**62)
 
 @dataclass(slots=True, eq=False)
 class Seen:
-    """One frame of those that a line is about: `begun` is each one's first frame, `free` for whom an `until` has held before."""
+    """One frame of the agents that a line concerns: `begun` is each one's first frame, `free` marks those with an `until` that
+    held before."""
 
     frame: int
     final: bool
@@ -45,7 +45,7 @@ def about_the_whole(frame: int, final: bool, first: int, holds: bool, since: boo
 
 
 def in_steps(world: World, time: ir.Node | None) -> int | None:
-    """A duration in whole steps, rounded up; the float32 it came as may lie a little above."""
+    """Return a duration in whole steps, rounded up. Its float32 value may lie slightly above."""
     if time is None:
         return None
     return max(1, ceil(float(value_of(world, time, {})) * float(world.setting.fps) * (1 - 1e-6)))
@@ -53,8 +53,8 @@ def in_steps(world: World, time: ir.Node | None) -> int | None:
 
 @dataclass(slots=True, eq=False)
 class Line:
-    """One judgement under way; times in steps. Tables are by id: `fine` have shown what they must, `count` are frames for which
-    the condition has held, `was` is where `since` held before, `pending` the frame in which it came to."""
+    """One judgement in progress; times in steps. Tables are by id. `fine`: the agent has fulfilled the line; `count`: frames for
+    which the condition has held; `was`: where `since` held before; `pending`: the frame in which it became true."""
 
     plan: JudgementPlan
     steps: int | None
@@ -68,7 +68,7 @@ class Line:
     waiting: Ids = field(default_factory=_NOBODY.copy)
 
     def look(self, seen: Seen) -> Ids:
-        """Who fails in this frame; `why` says so in words, nothing where the condition alone does."""
+        """Return which agents fail in this frame. `why`: the reason in words, empty if the condition alone is the reason."""
         self.why = ""
         if self.held is not None:
             self.count = by_id(self.count, seen.ids, 0)
@@ -79,12 +79,12 @@ class Line:
         return _KINDS[self.plan.kind](self, seen)
 
     def began(self, agent: int) -> int | None:
-        """The frame in which an agent's time began that was over, where a `when` says so."""
+        """Return the frame in which an agent's expired waiting time began, if the line has a `when`."""
         known = self.plan.since is not None and agent < len(self.pending)
         return int(self.pending[agent]) if known and self.pending[agent] != _NEVER else None
 
     def _left(self, seen: Seen, waiting: Truths) -> Ids:
-        """Those of the ones that waited before who are there no more; `waiting`, by row, do so now."""
+        """Return the agents that waited before and no longer exist. `waiting`, by row: those that wait now."""
         there = np.zeros(max(int(seen.ids.max(initial=-1)), int(self.waiting.max(initial=-1))) + 1, np.bool_)
         there[seen.ids] = True
         gone = self.waiting[~there[self.waiting]]
@@ -114,7 +114,7 @@ def _for(line: Line, seen: Seen) -> Ids:
 
 
 def _eventually(line: Line, seen: Seen) -> Ids:
-    """Also `within`, whose time is over at last."""
+    """Return the failed ids of `eventually`, and of `within`, which also fails when its time is over."""
     line.fine = by_id(line.fine, seen.ids, False)
     line.fine[seen.ids[seen.holds | seen.free]] = True
     waiting = ~line.fine[seen.ids]
@@ -140,7 +140,7 @@ def _eventually(line: Line, seen: Seen) -> Ids:
 
 
 def _comes(line: Line, seen: Seen) -> Truths:
-    """For whom `since` holds now and did not in the frame before."""
+    """Return where `since` holds now and did not in the frame before."""
     assert seen.since is not None
     line.was, line.pending = by_id(line.was, seen.ids, False), by_id(line.pending, seen.ids, _NEVER)
     comes = seen.since & ~line.was[seen.ids]
@@ -149,7 +149,7 @@ def _comes(line: Line, seen: Seen) -> Truths:
 
 
 def _since_within(line: Line, seen: Seen) -> Ids:
-    """Also `eventually`. Of several times under way the first one counts: what ends it ends the others."""
+    """Also `eventually`. Of several overlapping times, the first one counts: what ends it ends the others."""
     comes = _comes(line, seen)
     pending: Ids = line.pending[seen.ids]
     pending = np.where(comes & (pending == _NEVER), seen.frame, pending)
@@ -173,7 +173,7 @@ def _since_within(line: Line, seen: Seen) -> Ids:
 
 
 def _since_for(line: Line, seen: Seen) -> Ids:
-    """Of several times under way the last one counts: it ends after the others."""
+    """Of several overlapping times, the last one counts: it ends after the others."""
     assert line.steps is not None
     comes = _comes(line, seen)
     line.pending[seen.ids[comes]] = seen.frame
@@ -182,7 +182,7 @@ def _since_for(line: Line, seen: Seen) -> Ids:
 
 
 def _met(line: Line, seen: Seen) -> Ids:
-    """For `until` and `sooner`, which fail nobody by themselves: for whom it is so."""
+    """Return the ids for which `until` or `sooner` holds; these alone fail no agent."""
     return seen.ids[seen.holds]
 
 

@@ -1,7 +1,6 @@
-"""Asks the agents and items of a world what a spec wants to know of them, in a copy whose registers are the spec's.
+"""Evaluates spec queries on agents and items, in a copy of the world with the registers of the spec.
 
-The run's own backend answers; nothing of the run changes.
-"""
+The run's own backend evaluates them; nothing of the run changes."""
 
 from __future__ import annotations
 
@@ -31,7 +30,8 @@ _UNKNOWN = 1e300  # what no float32 can be: of agents that were not there yet
 
 
 class Asker:
-    """`ask` at each frame from the first on; `values` are then the numbers about wholes, by name."""
+    """Evaluates a spec's questions. Call `ask` at each frame from the first on; then `values` has the numbers about the whole, by
+    name."""
 
     def __init__(self, plan: SpecPlan, world: World) -> None:
         self.plan = plan
@@ -47,7 +47,7 @@ class Asker:
         return value_of(world, node, self.values)
 
     def ask(self, world: World, others: Mapping[str, Any]) -> World:
-        """A copy of the world in which every agent and item has answered. `others`: numbers of the run that is compared with."""
+        """Return a copy of the world in which every agent and item has answered. `others`: numbers of the run compared with."""
         self._measure(world)
         self.values |= others
         for items in world.items.values():
@@ -55,7 +55,7 @@ class Asker:
         there = copy(world)
         there.plan, there.backend, there.grids, there.clearances, there.touching = self.plan.plan, self.backend, {}, {}, None
         there.populations = {name: self._judged(there, name) for name in self.plan.plan.species}
-        there.spec_values = dict.fromkeys(self.names, np.float32(0))  # nobody has been asked yet
+        there.spec_values = dict.fromkeys(self.names, np.float32(0))  # no value is computed yet
         self.backend.begin(there)
         self.run(there, "decide")
         for each in self.plan.wholes:
@@ -72,7 +72,7 @@ class Asker:
         return there
 
     def run(self, there: World, block: str, species: str | None = None, rows: Any = None) -> None:
-        """Let all agents, or these rows of a species, answer the questions of a block."""
+        """Evaluate the questions of a block for all agents, or for these rows of a species."""
         for name, population in there.populations.items():
             if len(population) and getattr(population.plan, block).statements and species in (None, name):
                 self.backend.run(there, population, block, rows)
@@ -84,7 +84,7 @@ class Asker:
             self.values[f"motion.{name}"] = np.float32(np.nan if unknown else told)
 
     def _judged(self, there: World, name: str) -> Population:
-        """All agents of a species, all items of a name or all cells of a field, to be asked one by one."""
+        """Return all agents of a species, all items of a name or all cells of a field, to be queried one by one."""
         if name in there.items:
             return self._items(there.items[name])
         return self._cells(there, name) if name in there.fields else self._agents(there, there.populations[name])
@@ -98,7 +98,7 @@ class Asker:
         return _asked(plan, start, now, nowhere)
 
     def _agents(self, there: World, population: Population) -> Population:
-        """A population with the same agents and registers for answers."""
+        """Return a population with the same agents and with registers for answers."""
         found = copy(population)
         found.plan, found.effects, found.cells = self.plan.plan.species[population.name], Effects(), {}
         count = len(population)
@@ -112,7 +112,7 @@ class Asker:
         return found
 
     def _items(self, items: Items) -> Population:
-        """Items as if they were agents of a species of their own."""
+        """Return items as if they were agents of a separate species."""
         plan, count = self.plan.plan.species[items.name], len(items)
         start = {f"position.{axis}": items.seen[axis] for axis in AXES}
         start |= {name: items.seen[name] for name in ("radius", *items.amounts)}
@@ -120,7 +120,7 @@ class Asker:
         return _asked(plan, start, now, items.position)
 
     def _remember(self, judged: Population, name: str, asked: str) -> None:
-        """What a number was in each agent's first frame, into the register that the conditions read."""
+        """Copy the value of a number in each agent's first frame to the register that the conditions read."""
         ids, now = judged.ids, judged.now[asked]
         values = self.starts[name] = by_id(self.starts.get(name, np.zeros(0)), ids, _UNKNOWN)
         values[ids] = np.where(values[ids] == _UNKNOWN, now, values[ids])
@@ -128,7 +128,7 @@ class Asker:
 
 
 def by_id(table: NDArray[Any], ids: NDArray[np.int64], unknown: Any) -> NDArray[Any]:
-    """The table, long enough for every id that there is; ids are counted from 0."""
+    """Return the table, extended to every existing id; ids count from 0."""
     more = int(ids.max(initial=-1)) + 1 - len(table)
     return table if more <= 0 else np.concatenate([table, np.full(max(more, len(table)), unknown, table.dtype)])
 
@@ -136,31 +136,31 @@ def by_id(table: NDArray[Any], ids: NDArray[np.int64], unknown: Any) -> NDArray[
 def _asked(
     plan: ir.SpeciesPlan, start: dict[str, NDArray[Any]], now: dict[str, NDArray[Any]], place: NDArray[np.float64]
 ) -> Population:
-    """A population of what is no agent, at places [n,3], on no ground."""
+    """Return a population of things that are not agents, at positions [n,3], without ground."""
     n = len(place)
     nobody, ids = np.zeros(n, np.bool_), np.arange(n)
     return Population(plan, ids, np.zeros(n, np.int64), nobody, start, now, place, Footing.nowhere(n), {}, {})
 
 
 def _answers(registers: Mapping[str, ir.Register], known: Mapping[str, Any], count: int) -> dict[str, NDArray[Any]]:
-    """Arrays for what the blocks will store; a number that is none stays so."""
+    """Return arrays for the results of the blocks; a number that is not computed stays NaN."""
     own = [register for register in registers.values() if register.name not in known]
     return {r.name: np.full(count, np.nan if r.kind is ir.Kind.F32 else 0, DTYPES[r.kind]) for r in own}
 
 
 def _smells(species: ir.SpeciesPlan) -> bool:
-    """Whether a block asks for the agent's own cell of a field."""
+    """Return whether a block reads the agent's own cell of a field."""
     asked = (node for block in (species.decide, species.act, species.blend) for _, s in statements(block) for node in operands(s))
     return any(node.op.startswith("field.") for node in needed(asked))
 
 
 def measured(world: World, population: Population, name: str) -> Floats:
-    """A measure of GEOMETRY for each agent, float32[n]; lengths in mm."""
+    """Return a measure of GEOMETRY for each agent, float32[n]; lengths in mm."""
     return _MEASURES[name](world, population)
 
 
 def _overlap(world: World, population: Population) -> Floats:
-    """How far each agent stands inside the worst of the others of all species: 0 apart, 1 in one place."""
+    """Return the worst overlap of each agent with any other of all species: 0 apart, 1 at the same position."""
     everybody = list(world.populations.values())
     known = [each for each in everybody if "radius" in each.start and "position.x" in each.start and each.footing is not None]
     x, y, z, radius = (
@@ -173,7 +173,7 @@ def _overlap(world: World, population: Population) -> Floats:
 
 
 def _penetration(world: World, population: Population) -> Floats:
-    """How deep each agent's middle is inside an obstacle that is a closed mesh, or inside a solid; 0 outside of all."""
+    """Return how deep each agent's middle is inside an obstacle that is a closed mesh, or inside a solid; 0 outside of all."""
     deep = np.zeros(len(population))
     for name in world.plan.of_kind("obstacle"):
         scene = world.obstacles.get(name)
@@ -185,7 +185,7 @@ def _penetration(world: World, population: Population) -> Floats:
 
 
 def _off_surface(world: World, population: Population) -> Floats:
-    """How far each agent is from where it ought to stand: its clearance over its place on a triangle or a solid."""
+    """Return the distance of each agent from where it should be: its clearance above its point on a triangle or a solid."""
     away: NDArray[np.float64] = np.linalg.norm(population.position - world.ground.position(population.footing), axis=1)
     for number, volume in enumerate(world.solids.values(), len(world.setting.surfaces)):
         rows = np.flatnonzero(population.footing.mesh == number)

@@ -1,4 +1,4 @@
-"""Results for machines: as JSON, and as JUnit XML that build servers read."""
+"""Machine-readable results: JSON, and JUnit XML for build servers."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from antdsl.specs.text_report import golden, told
 
 
 def as_json(cases: Sequence[Case], coverage: Coverage, report: Report, goldens: Sequence[GoldenResult] = ()) -> str:
-    """All cases and golden runs, the coverage, and what kept others from being run, one document."""
+    """Return one JSON document with all cases and golden runs, the coverage, and the reasons why others did not run."""
     document = {
         "passed": sum(case.outcome == "passed" for case in cases),
         "failed": sum(case.outcome == "failed" for case in cases),
@@ -108,8 +108,8 @@ def _place(span: Span | None) -> dict[str, Any] | None:
 
 
 def as_junit(cases: Sequence[Case], report: Report, goldens: Sequence[GoldenResult] = ()) -> str:
-    """A suite for each program, as build servers read it. What was not finished, or may fail since enough seeds passed, counts as
-    skipped; golden runs, and mistakes in files, which kept specs from being run, stand in suites of their own."""
+    """Return a suite for each program, as build servers read it. A case that was not finished, or may fail since enough seeds
+    passed, counts as skipped. Golden runs, and errors in files that prevented specs from running, have separate suites."""
     errors = [d for d in report.sorted() if d.severity == "error"]
     differ = [result for result in goldens if result.outcome == "differs"]
     root = ElementTree.Element("testsuites", {"name": "antdsl test"} | _counts(cases, len(errors), len(goldens), len(differ)))

@@ -1,4 +1,5 @@
-"""Runs cases: one simulation for all specs of one scene, seed and set of params, headless, until the last of them has judged."""
+"""Runs cases: one simulation for all specs of one scene, seed and set of params, headless, until the last of them has its
+result."""
 
 from __future__ import annotations
 
@@ -20,8 +21,8 @@ Told = Callable[[Run, int, int], None]
 
 @dataclass(slots=True)
 class Work:
-    """What is to be found out besides the outcomes, and who is told: `done` of each case, `frame` of how far a run is. `told` has
-    sentences for the user on what was otherwise than asked in a run, each once; none of it changes a verdict."""
+    """What to find out in addition to the outcomes, and the callbacks: `done` for each case, `frame` for the progress of a run.
+    `told`: sentences for the user on what differed from the request in a run, each once; none of it changes a verdict."""
 
     options: Options
     coverage: Coverage = field(default_factory=Coverage)
@@ -35,7 +36,7 @@ class Work:
 
 
 def run_cases(runs: Iterable[Run], work: Work) -> None:
-    """Run everything; each case gets its outcome. What is wrong with one run, a fault included, fails its cases and no others."""
+    """Run everything and set the outcome of each case. A problem of one run, even a fault, only fails its own cases."""
     for run in runs:
         started = perf_counter()
         moments: dict[int, Moment] = {}
@@ -65,7 +66,7 @@ def _fail(run: Run, failure: Failure) -> None:
 
 
 def _run(run: Run, work: Work, moments: dict[int, Moment]) -> None:
-    """Simulate and judge; `moments` gets the first failure of each case, by its id."""
+    """Simulate and judge. `moments` receives the first failure of each case, by its id."""
     rivals = _rivals(run, work)
     try:
         world = _begin(run.shot, run.seed, work)
@@ -127,7 +128,7 @@ def _fault(why: FaultStop, where: str) -> Failure:
 
 
 def _rivals(run: Run, work: Work) -> dict[int, Rival]:
-    """The runs that cases compare with, by the case's id: those of one shot are simulated once. A fault there fails these
+    """Return the runs that cases compare with, by the case's id. Those of one shot are simulated once. A fault there fails these
     cases."""
     found: dict[int, Rival] = {}
     for shot in {id(case.against.shot): case.against.shot for case in run.cases if case.against is not None}.values():
@@ -141,7 +142,7 @@ def _rivals(run: Run, work: Work) -> dict[int, Rival]:
 
 
 def _watched(run: Run, work: Work, shot: Shot, cases: list[Case]) -> dict[int, Rival]:
-    """One run that cases compare with, to the last frame that one of them asks for."""
+    """Simulate one run that cases compare with, to the last frame that one of them needs."""
     world = _begin(shot, run.seed, work)
     first = world.frame
     rivals = {id(case): Rival(case.against.plan, world) for case in cases if case.against is not None}

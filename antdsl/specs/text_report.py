@@ -1,5 +1,4 @@
-"""Results in words: a case for each spec and seed, with place, frame, agents and values of what went wrong; golden runs;
-coverage."""
+"""Results in words: a case for each spec and seed, with location, frame, agents and values of failures; golden runs; coverage."""
 
 from __future__ import annotations
 
@@ -11,7 +10,7 @@ from antdsl.specs.cases import Case, Failure, SavedFrames, Verdict
 from antdsl.specs.coverage import Counted, Coverage
 from antdsl.specs.golden.recorded import GoldenResult
 
-_MOST_TOLD = 20  # states and changes that nobody met, in words
+_MOST_TOLD = 20  # unreached states and transitions listed in words
 _MOST_DIFFERENCES = 6
 
 
@@ -21,13 +20,13 @@ def one_line(case: Case) -> str:
 
 
 def failed(case: Case) -> str:
-    """The case's line, then each failure with its place, when, who, and the values; then how to look at it."""
+    """Return the case's line, then each failure with its location, frame, agent and values; then how to view it."""
     lines = [one_line(case), *(f"  {line}" for failure in case.failures for line in told(failure))]
     return "\n".join(lines + ([] if case.kept is None else [f"  {line}" for line in _saved(case.kept)]))
 
 
 def told(failure: Failure) -> list[str]:
-    """A failure in lines: what was expected where, when it was not so, by whom, and what the values were."""
+    """Return a failure in lines: what was expected where, when it failed, for which agents, and the values."""
     where = f"{failure.span}: " if failure.span is not None else ""
     lines = [f"{safe(where)}{safe(failure.message)}"]
     if failure.frame is not None:
@@ -70,7 +69,7 @@ def settled(verdict: Verdict) -> str:
 
 
 def golden(result: GoldenResult) -> str:
-    """A golden run in words: what differs first, and of whom."""
+    """Return a golden run in words: what differs first, and for which agents."""
     words = {"same": "same", "differs": "differs", "written": "written"}.get(result.outcome, "waiting")
     line = f"{words:<7} {safe(result.name)}, seed {result.seed}: "
     if result.outcome != "differs":
@@ -100,7 +99,7 @@ def counted(cases: Sequence[Case], mistakes: int, goldens: Sequence[GoldenResult
 
 
 def covered(coverage: Coverage) -> str:
-    """Every state and change with how often it was met, in the order of the text: agents in a state each frame, agents that
+    """Return every state and change with its count, in the order of the text: agents in a state per frame, agents that
     changed."""
     both = [(each, "state") for each in coverage.states.values()] + [(each, "change") for each in coverage.changes.values()]
     both.sort(key=lambda pair: (pair[0].span.source.path, pair[0].span.start, pair[1] == "change"))
@@ -110,7 +109,7 @@ def covered(coverage: Coverage) -> str:
 
 
 def uncovered(coverage: Coverage) -> str:
-    """How many states were entered and changes made, and those that never were."""
+    """Return how many states were entered and changes made, and which never were."""
     lines = []
     for what, verb, table in (("states", "entered", coverage.states), ("changes", "made", coverage.changes)):
         if table:
@@ -124,7 +123,7 @@ def uncovered(coverage: Coverage) -> str:
 
 
 def _short(name: str) -> str:
-    """Without what is there for us only: the machine `main`, and the number of a change where it is the first."""
+    """Return a name without internal parts: the machine `main`, and the number of a change if it is the first."""
     return name.replace(".main.", ".").removesuffix("#1").replace("->", " -> ")
 
 

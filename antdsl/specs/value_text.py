@@ -1,4 +1,4 @@
-"""A value as the author would write it: with a unit, a state by its name, an item by its name."""
+"""Values as an author would write them: with a unit, a state by its name, an item by its name."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _PLACES = 6  # after the point of a coordinate
 
 
 def shown(world: World, value: Any, type: Type, unit: str, whole: bool = False) -> str:
-    """`41.3 mm/s`, `12 %`, `carry`, `yes`, `apple`. `whole`: a number to its last place instead of the sixth."""
+    """Format a value: `41.3 mm/s`, `12 %`, `carry`, `yes`, `apple`. `whole`: a number with all digits instead of six."""
     match type.kind:
         case Kind.BOOL:
             return "yes" if value else "no"
@@ -31,7 +31,7 @@ def shown(world: World, value: Any, type: Type, unit: str, whole: bool = False) 
 
 
 def whereabouts(world: World, species: str, row: int) -> tuple[tuple[str, str], ...]:
-    """In which states an agent is, since when, and where it stands in the scene's units, whatever a spec asks."""
+    """Return an agent's states, since when, and its position in the scene's units."""
     population = world.populations[species]
     found = []
     for machine in population.plan.machines:
@@ -42,8 +42,8 @@ def whereabouts(world: World, species: str, row: int) -> tuple[tuple[str, str], 
 
 
 def place_text(position: Iterable[float], origin: Iterable[float], unit_mm: float) -> str:
-    """The coordinates of a position, in mm and relative to an origin, in a unit: with four digits of what is relative to the
-    origin, and at least one after the point."""
+    """Format a position, in mm and relative to an origin, as coordinates in a unit. There are four significant digits of the
+    relative value, and at least one after the point."""
     return ", ".join(_coordinate(float(x) / unit_mm, float(o) / unit_mm) for x, o in zip(position, origin, strict=True))
 
 

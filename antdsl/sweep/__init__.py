@@ -1,5 +1,5 @@
-"""Many runs of scenes: values and seeds to vary in, one table out. Runs go to other processes (`executors`); the finished ones
-stay."""
+"""Many runs of scenes: varied values and seeds, one resulting table. Runs go to other processes (`executors`); finished ones are
+stored."""
 
 from antdsl.sweep.finished_runs import Keeper
 from antdsl.sweep.jobs import Job, Variation, jobs, variations

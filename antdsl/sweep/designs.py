@@ -1,7 +1,7 @@
-"""Designs of experiments: which points of the space that a sweep's factors span are run.
+"""Designs of experiments: which points are run of the space that a sweep's factors span.
 
-A design gives shares of the way along each factor, from 0 to 1, a row a point; factors turn shares into values. All draws come
-from one seed, so the same words choose the same points."""
+A design returns shares from 0 to 1 for each factor, one row per point; factors convert shares to values. All draws come from one
+seed, so the same arguments choose the same points."""
 
 from __future__ import annotations
 
@@ -24,8 +24,8 @@ Point = Mapping[str, str]
 
 @dataclass(frozen=True, slots=True)
 class Design:
-    """`shares(factors, count, seed)`: an array (points, factors) of numbers from 0 to 1. `count` means what `counted` says.
-    `analysis`: what the results tell of how much each factor matters, for designs that are made for that."""
+    """A design. `shares(factors, count, seed)`: an array (points, factors) of numbers from 0 to 1. `counted`: the meaning of
+    `count`. `analysis`: how to compute the importance of each factor from the results, for designs made for that."""
 
     word: str
     is_one: str
@@ -39,7 +39,7 @@ class Design:
 
 @dataclass(frozen=True, slots=True)
 class Chosen:
-    """The points of a design in its order, some perhaps twice, with the shares that they came of."""
+    """The points of a design in order, possibly with duplicates, and the shares from which they were computed."""
 
     design: Design
     factors: tuple[Factor, ...]
@@ -97,7 +97,7 @@ _BY_WORD = {design.word: design for design in DESIGNS}
 
 
 def choose(word: str, factors: Sequence[Factor], points: int | None, seed: int) -> tuple[Chosen | None, Report]:
-    """The points of the design of that word; what does not fit together is in the report, with what to write instead."""
+    """Return the points of the named design. Conflicts are in the report, with what to write instead."""
     report, design = Report(), _BY_WORD[word]
     _fits(design, factors, points, report)
     if not report.ok:

@@ -1,4 +1,4 @@
-"""What a sweep varies: values one by one (`30mm,60mm`), or all between two ends (`30mm..90mm`)."""
+"""The factors of a sweep: single values (`30mm,60mm`), or all values between two ends (`30mm..90mm`)."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _DIGITS = 6  # that a value drawn from a range is written with
 
 @dataclass(frozen=True, slots=True)
 class Factor:
-    """A name with the values that it takes: `levels`, or, where there are none, all from `low` to `high`, in `unit`."""
+    """A name with its values: `levels`, or, if there are none, all from `low` to `high`, in `unit`."""
 
     name: str
     levels: tuple[str, ...] = ()
@@ -28,17 +28,17 @@ class Factor:
 
     @property
     def word(self) -> str:
-        """The name without that of its species or field."""
+        """Return the name without its species or field."""
         return self.name.rpartition(".")[2]
 
     def at(self, share: float) -> str:
-        """The value at a share, 0 to 1, of the way from the first to the last, as text; levels have equal shares each."""
+        """Return the value at a share, 0 to 1, between the first and the last, as text. Levels have equal shares."""
         if self.levels:
             return self.levels[min(floor(share * len(self.levels)), len(self.levels) - 1)]
         return self._text(self.low + share * (self.high - self.low))
 
     def ends(self) -> tuple[str, ...]:
-        """The values that say whether all of them are allowed: each level, or the two ends."""
+        """Return the values to check to know whether all are allowed: each level, or the two ends."""
         return self.levels or (self._text(self.low), self._text(self.high))
 
     def number(self, text: str) -> float:
@@ -50,7 +50,7 @@ class Factor:
 
 
 def factors(varied: Mapping[str, str]) -> tuple[list[Factor], Report]:
-    """`NAME` to `A,B,C` or `A..B`, as it is written; what cannot be read is in the report."""
+    """Return factors from `NAME` to `A,B,C` or `A..B`, as in the source; unreadable ones are in the report."""
     report = Report()
     found = [_range(name, text, report) if ".." in text else _levels(name, text, report) for name, text in varied.items()]
     return [factor for factor in found if factor is not None], report
@@ -92,7 +92,7 @@ def _range(name: str, text: str, report: Report) -> Factor | None:
 
 
 def ends(of: Iterable[Factor]) -> list[dict[str, str]]:
-    """As few points as name every end of every factor once."""
+    """Return the fewest points that cover every end of every factor."""
     chosen = list(of)
     most = max((len(factor.ends()) for factor in chosen), default=0)
     return [{factor.name: factor.ends()[min(k, len(factor.ends()) - 1)] for factor in chosen} for k in range(most)]

@@ -1,7 +1,7 @@
-"""The one door to matplotlib: figures with its packaged defaults, whatever the working directory or the user sets.
+"""The one interface to matplotlib: figures with its packaged defaults, whatever the working directory or the user sets.
 
-Its settings start programs (`text.usetex` starts LaTeX), and it looks for them in the working directory first, when it is
-imported. So it is imported from a folder of antdsl's own, with its own variables pointing to the installation."""
+Its settings can start programs (`text.usetex` starts LaTeX). On import it looks for settings in the working directory first. It
+is therefore imported from a folder of antdsl, with separate variables pointing to the installation."""
 
 from __future__ import annotations
 
@@ -24,13 +24,13 @@ NAME = "matplotlib"
 
 
 def available() -> bool:
-    """Whether figures can be drawn here; nothing is imported."""
+    """Return whether figures can be drawn here; nothing is imported."""
     return find_spec(NAME) is not None
 
 
 @contextmanager
 def figure(width: float, height: float, path: Path) -> Iterator[Figure]:
-    """A figure of a size in inches to draw into; at the end it is put at `path` as a PNG file. OSError where it cannot be."""
+    """Yield a figure of a size in inches; at the end it is written to `path` as a PNG file. Raises OSError if that fails."""
     matplotlib = _matplotlib()
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
@@ -46,8 +46,8 @@ def figure(width: float, height: float, path: Path) -> Iterator[Figure]:
 
 @cache
 def _matplotlib() -> Any:
-    """matplotlib with all that reads settings or a list of fonts as it is imported. It stores that list in a folder that only
-    this user may write to."""
+    """Return matplotlib, with everything loaded that reads settings or the font list at import. The list is stored in a folder
+    that only this user may write to."""
     import importlib
 
     with ExitStack() as opened:
@@ -72,7 +72,7 @@ def _matplotlib() -> Any:
 
 @contextmanager
 def _environment(values: Mapping[str, str]) -> Iterator[None]:
-    """Variables of this process have other values meanwhile."""
+    """Set environment variables of this process within the context."""
     before = {name: os.environ.get(name) for name in values}
     os.environ.update(values)
     try:

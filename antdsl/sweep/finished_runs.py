@@ -1,4 +1,4 @@
-"""What is finished stays: one small file a run, so that a sweep that was stopped goes on where it was."""
+"""Storage of finished runs: one small file per run, so that a stopped sweep can continue."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from antdsl.bounded import read_bounded
 from antdsl.sweep.jobs import Job
 from antdsl.whole import is_link, make_folder, write_whole
 
-_BYTES = limits.ANSWER_BYTES + 64 * limits.KIB  # of what is kept of one run
+_BYTES = limits.ANSWER_BYTES + 64 * limits.KIB  # of the stored data of one run
 
 
 class OtherFiles(Exception):
@@ -21,7 +21,7 @@ class OtherFiles(Exception):
 
 
 class Keeper:
-    """The folder of a sweep: `runs/` has a file for each run that was finished."""
+    """The folder of a sweep: `runs/` has a file for each finished run."""
 
     def __init__(self, folder: Path) -> None:
         if folder.is_dir() and any(folder.iterdir()) and not (folder / "runs").is_dir():
@@ -36,8 +36,8 @@ class Keeper:
         return self.runs / f"{job.key}.json"
 
     def kept(self, job: Job) -> dict[str, Any] | None:
-        """The measures of a run that was finished before, or None: also where its file is damaged. Files from before they had a
-        hash count as they are."""
+        """Return the measures of an earlier finished run, or None, also if its file is damaged. Files from before hashes were
+        introduced are accepted."""
         try:
             document = json.loads(read_bounded(self.path(job), _BYTES))
         except (OSError, ValueError, RecursionError):
@@ -49,11 +49,11 @@ class Keeper:
         return measures
 
     def others(self, jobs: Iterable[Job]) -> int:
-        """How many finished runs there are of none of these jobs."""
+        """Return how many finished runs belong to none of these jobs."""
         return len({path.stem for path in self.runs.glob("*.json")} - {job.key for job in jobs})
 
     def keep(self, job: Job, measures: Mapping[str, Any]) -> None:
-        """Write a run's measures; the file is there whole or not at all."""
+        """Write a run's measures atomically."""
         document = about(job) | {"key": job.key, "antdsl": __version__, "measures": measures}
         document["hash"] = _hash(document)
         write_whole(self.path(job), (json.dumps(document, indent=1) + "\n").encode(), sync=False)

@@ -1,4 +1,4 @@
-"""What there is to run: each scene with each combination of values and each seed; and a key that tells one run from another."""
+"""The jobs of a sweep: each scene with each combination of values and each seed; and a key that identifies each run."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from antdsl.scene.values import FrameRange
 
 @dataclass(frozen=True, slots=True)
 class Variation:
-    """A scene with values of its own: one line of the table."""
+    """A scene with specific values: one line of the table."""
 
     scene: Path
     params: Mapping[str, str]
@@ -32,8 +32,8 @@ class Variation:
 
 @dataclass(frozen=True, slots=True)
 class Job:
-    """One run. `until`: amounts (`food.load`, `food.apple.load`) that end it once all of them are 0. `key` has a hash of all that
-    the result depends on. Made of plain values, so that it goes to another process as JSON."""
+    """One run. `until`: amounts (`food.load`, `food.apple.load`) that end it when all of them are 0. `key`: contains a hash of
+    all that the result depends on. It has plain values, so that it goes to another process as JSON."""
 
     scene: str
     label: str
@@ -49,7 +49,7 @@ class Job:
         return f"{self.label}, seed {self.seed}"
 
     def document(self) -> dict[str, Any]:
-        """In JSON's values, as it goes to another process."""
+        """Return the job as JSON values for another process."""
         return asdict(self)
 
     @classmethod
@@ -87,8 +87,8 @@ def jobs(
     until: tuple[str, ...],
     grants: Mapping[str, Path],
 ) -> tuple[list[Job], Report]:
-    """All runs, seed by seed, so that a sweep that is stopped has something of every variation. What is wrong with a scene or a
-    value is in the report, once."""
+    """Return all runs, seed by seed, so that a stopped sweep has results of every variation. Problems with a scene or a value are
+    in the report, once."""
     report = Report()
     shots: list[tuple[Variation, FrameRange, Scene, Mapping[str, str]]] = []
     parsed = CheckedOnce()
@@ -114,7 +114,8 @@ def jobs(
 
 
 def beginning(shot: Shot) -> Mapping[str, str]:
-    """A hash of what another cache gives a scene to begin with; that its files are read is noted (`scene.paths.sought`)."""
+    """Return a hash of the start state that a scene takes from another cache, and note that its files are read
+    (`scene.paths.sought`)."""
     folder = source_of(shot)
     if folder is not None:
         note(folder / MANIFEST, shot.scene.roots.folder)
@@ -122,7 +123,7 @@ def beginning(shot: Shot) -> Mapping[str, str]:
 
 
 def key_of(shot: Shot, seed: int, until: tuple[str, ...], start: Mapping[str, str]) -> str:
-    """A hash of all that the measures of a run depend on. `start`: of the cache that it begins with (`start_hash`)."""
+    """Return a hash of all that the measures of a run depend on. `start`: the hash of the cache it begins with (`start_hash`)."""
     return _key(shot.scene, {**shot.inputs, **start}, shot.frames, seed, until)
 
 
@@ -133,7 +134,7 @@ def _key(scene: Scene, inputs: Mapping[str, str], frames: FrameRange, seed: int,
 
 
 def _known(shot: Shot, until: tuple[str, ...], report: Report) -> None:
-    """Complain about amounts that the scene does not have."""
+    """Report amounts that the scene does not have."""
     known = list(amounts(shot))
     for wanted in until:
         if not any(matches(wanted, name) for name in known):
@@ -142,7 +143,7 @@ def _known(shot: Shot, until: tuple[str, ...], report: Report) -> None:
 
 
 def amounts(shot: Shot) -> Iterator[str]:
-    """Every amount of every item, as `food.apple.load`."""
+    """Yield every amount of every item, as `food.apple.load`."""
     for name, items in shot.plan.items.items():
         for item in shot.setting.items.get(name, ()):
             for attribute in items.attributes:

@@ -1,4 +1,5 @@
-"""One run of a sweep, without a cache: all that `antdsl run --summary` tells, and the frame at which each amount ran out."""
+"""One run of a sweep, without a cache: everything that `antdsl run --summary` reports, and the frame at which each amount ran
+out."""
 
 from __future__ import annotations
 
@@ -20,16 +21,16 @@ from antdsl.sweep.jobs import Job, beginning, key_of, matches
 
 
 class Unfit(Exception):
-    """The scene cannot be opened any more; the message says why."""
+    """The scene can no longer be opened; the message says why."""
 
 
 def measure(
     job: Job, threads: int, built: Built, told: Callable[[int], None], noted: Callable[[str], None] = lambda sentence: None
 ) -> dict[str, Any]:
-    """Simulate a run and give its measures, by name: numbers, and None for what did not happen. `told` hears of each frame,
-    `noted` at the end of what was otherwise than asked; `built` has what the runs before this one made of meshes.
+    """Simulate a run and return its measures by name: numbers, or None for what did not happen. `told` is called for each frame,
+    `noted` at the end with what differed from the request. `built` stores data that earlier runs made from meshes.
 
-    Everything but `seconds`, `fps` and `processor` is the same for the same job and antdsl."""
+    Everything but `seconds`, `fps` and `processor` is equal for the same job and antdsl."""
     shot, report = open_scene(Path(job.scene), job.choices())
     if shot is None or not report.ok:
         raise Unfit("; ".join(problem.message for problem in report.errors))
@@ -73,7 +74,7 @@ def _amounts(world: World) -> Iterator[tuple[str, float]]:
 
 
 def _look(world: World, empty: dict[str, int | None]) -> None:
-    """Remember the frame at which an amount that was there is gone for the first time."""
+    """Store the frame at which an amount becomes 0 for the first time."""
     for name, amount in _amounts(world):
         if amount > 0:
             empty.setdefault(name, None)

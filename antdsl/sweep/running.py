@@ -1,5 +1,5 @@
-"""Runs the jobs of a sweep as tasks. A run that fails, or takes its process with it, is told and the others go on. Which process
-does what changes no result."""
+"""Runs the jobs of a sweep as tasks. A run that fails, or crashes its process, is reported, and the others continue. The
+distribution over processes changes no result."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from antdsl.sweep.jobs import Job
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
-    """What became of a job: measures, or the words for what went wrong."""
+    """The outcome of a job: measures, or an error message."""
 
     job: Job
     measures: dict[str, Any] | None
@@ -26,8 +26,9 @@ def run_all(
     told: Callable[[Job, int], None] = lambda job, frame: None,
     noted: Callable[[str], None] = lambda sentence: None,
 ) -> Iterator[Outcome]:
-    """Run jobs and give each outcome as it comes; `jobs` is read one at a time, whenever there is room for another. `told` hears
-    now and then how far a run is, `noted` what was otherwise than asked, a sentence for each run and cause."""
+    """Run jobs and yield each outcome when it arrives; `jobs` is read one at a time, when there is capacity for another. `told`
+    reports the progress of a run from time to time. `noted` reports what differed from the request, a sentence for each run and
+    cause."""
 
     def heard(task: Task, frame: int) -> None:
         told(Job.of(task.document), frame)
@@ -40,7 +41,7 @@ def run_all(
 
 
 def measured(document: Mapping[str, Any], worker: Worker) -> dict[str, Any]:
-    """The measures of a job, as a process gives them."""
+    """Run a job in a worker process and return its measures."""
     from antdsl.outputs.starting import StartError
     from antdsl.runtime import BindError, Built, FaultStop
     from antdsl.sweep.measuring import Unfit, measure

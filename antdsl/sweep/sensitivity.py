@@ -1,6 +1,6 @@
-"""How much each factor of a sweep matters: Sobol indices and elementary effects, by SALib (the extra `[sensitivity]`).
+"""The importance of each factor of a sweep: Sobol indices and elementary effects, by SALib (the extra `[sensitivity]`).
 
-What is looked at is the median over seeds of a measure at each point; every point has the same seeds."""
+The analysis uses the median over seeds of a measure at each point; every point has the same seeds."""
 
 from __future__ import annotations
 
@@ -26,8 +26,8 @@ Found = Mapping[str, Numbers]
 
 @dataclass(frozen=True, slots=True)
 class Analysis:
-    """`work(shares, values)` gives columns by name, a number a factor each. `first`: the column that says how much a factor
-    matters, `half`: that with half the width of its 95 % interval."""
+    """An analysis. `work(shares, values)` returns columns by name, one number per factor. `first`: the column with the importance
+    of a factor; `half`: the column with half the width of its 95 % interval."""
 
     title: str
     first: str
@@ -37,7 +37,7 @@ class Analysis:
 
 @dataclass(frozen=True, slots=True)
 class Effect:
-    """What one factor does to one measure of one scene."""
+    """The effect of one factor on one measure of one scene."""
 
     scene: str
     measure: str
@@ -51,7 +51,7 @@ def available() -> bool:
 
 
 def saltelli_sample(factors: int, count: int, seed: int) -> Numbers:
-    """`count` × (factors + 2) points for Sobol indices of first and total order. A. Saltelli and others: Variance based
+    """Return `count` × (factors + 2) points for Sobol indices of first and total order. A. Saltelli and others: Variance based
     sensitivity analysis of model output, Comp. Phys. Comm. 181 (2010), on a scrambled Sobol sequence."""
     from SALib.sample import sobol
 
@@ -59,8 +59,8 @@ def saltelli_sample(factors: int, count: int, seed: int) -> Numbers:
 
 
 def morris_sample(factors: int, count: int, seed: int) -> Numbers:
-    """`count` trajectories of factors + 1 points, each a step along one factor from the one before. M. D. Morris: Factorial
-    sampling plans for preliminary computational experiments, Technometrics 33 (1991)."""
+    """Return `count` trajectories of factors + 1 points, each one step along one factor from the previous one. M. D. Morris:
+    Factorial sampling plans for preliminary computational experiments, Technometrics 33 (1991)."""
     from SALib.sample import morris
 
     return np.asarray(morris.sample(_problem(factors), count, num_levels=_LEVELS, seed=seed))
@@ -102,8 +102,8 @@ def effects(
     medians: Mapping[tuple[str, str], float],
     measures: Sequence[str],
 ) -> tuple[list[Effect], list[str]]:
-    """The effect of each factor on each measure, and why some measures have none. `scenes`: by name, the label of each of the
-    design's points; `medians` by label and measure."""
+    """Return the effect of each factor on each measure, and why some measures have none. `scenes`: by name, the label of each of
+    the design's points; `medians`: by label and measure."""
     found: list[Effect] = []
     notes: list[str] = []
     for scene, labels in scenes.items():
@@ -128,7 +128,7 @@ def effects(
 
 
 def text(analysis: Analysis, found: Sequence[Effect]) -> str:
-    """A block of lines a scene and measure, the factor that matters most first."""
+    """Format a block of lines per scene and measure, the most important factor first."""
     lines: list[str] = [analysis.title]
     width = max(len(effect.factor) for effect in found)
     several = len({effect.scene for effect in found}) > 1

@@ -25,8 +25,8 @@ _GROWTH = Fraction(3, 2)  # of the number of runs, from one look to the next
 
 
 def rank(count: int, doubt: Fraction = 1 - LEVEL) -> int:
-    """The greatest l for which the interval from the l-th to the l-th from the end misses the median with a chance of `doubt` at
-    most; 0 where `count` draws are too few."""
+    """Return the greatest l for which the interval from the l-th to the l-th last misses the median with a probability of at most
+    `doubt`; 0 if `count` draws are too few."""
     least, below = 0, 0
     while 2 * (below + math.comb(count, least)) <= doubt * 2**count:
         below += math.comb(count, least)
@@ -35,7 +35,7 @@ def rank(count: int, doubt: Fraction = 1 - LEVEL) -> int:
 
 
 def interval(values: Sequence[float], doubt: Fraction = 1 - LEVEL) -> tuple[float, float] | None:
-    """The two results between which the median lies; None of too few. An infinite one has never happened."""
+    """Return the two results between which the median lies; None for too few. An infinite result means that it never happened."""
     place = rank(len(values), doubt)
     if not place:
         return None
@@ -45,15 +45,15 @@ def interval(values: Sequence[float], doubt: Fraction = 1 - LEVEL) -> tuple[floa
 
 @dataclass(frozen=True, slots=True)
 class Looks:
-    """After how many runs the interval is looked at, and the doubt that each look is allowed: looking again and again until it
-    is narrow would miss the median more often than one look does, so all looks share what may be missed (Bonferroni)."""
+    """The numbers of runs after which the interval is checked, and the error probability of each check. Checking repeatedly until
+    it is narrow would miss the median more often than one check, so all checks share the error probability (Bonferroni)."""
 
     after: tuple[int, ...]
     doubt: Fraction
 
 
 def looks(most: int) -> Looks | None:
-    """Looks at half as many runs more each time, up to `most`; None where so few runs can tell nothing."""
+    """Return checks after half as many runs more each time, up to `most`; None if so few runs are never enough."""
     for count in range(1, most + 1):
         doubt = (1 - LEVEL) / count
         least = next((n for n in range(1, most + 1) if rank(n, doubt)), None)
@@ -68,13 +68,14 @@ def looks(most: int) -> Looks | None:
 
 
 def least_runs() -> int:
-    """The fewest runs of which a sweep can know a median."""
+    """Return the fewest runs from which a sweep can estimate a median."""
     return next(n for n in range(1, 100) if looks(n) is not None)
 
 
 @dataclass(frozen=True, slots=True)
 class Width:
-    """How narrow the interval of a median has to be: `most`, or, of its own size, `share`. `measure`: the beginning of a name."""
+    """How narrow the interval of a median has to be: at most `most`, or `share` of the median's size. `measure`: the beginning of
+    a name."""
 
     measure: str
     most: float
@@ -89,7 +90,7 @@ class Width:
 
 @dataclass(frozen=True, slots=True)
 class Known:
-    """What is known of one measure of one variation: its median lies between `low` and `high`, after so many runs."""
+    """Knowledge about one measure of one variation: its median lies between `low` and `high`, after a number of runs."""
 
     label: str
     measure: str
@@ -102,7 +103,7 @@ class Known:
 
 @dataclass(slots=True)
 class Chooser:
-    """All jobs that may be run, seed by seed, of which `wanted` gives those that are needed. With no widths that is all."""
+    """All jobs that may run, seed by seed; `wanted` yields those that are needed. Without widths, all are."""
 
     jobs: Sequence[Job]
     widths: Sequence[Width] = ()
@@ -118,13 +119,13 @@ class Chooser:
             self._looks = looks(max(map(len, self._by_label.values())))
 
     def wanted(self) -> Iterator[Job]:
-        """The next job that is needed, as long as there is one: to be asked when a process is free."""
+        """Yield the next needed job, as long as there is one; to be called when a process is free."""
         for job in self.jobs:
             if job.key not in self._measures and job.label not in self._done:
                 yield job
 
     def heard(self, job: Job, measures: Mapping[str, Any] | None) -> None:
-        """A run has ended, with its measures or without."""
+        """Record that a run has ended, with or without measures."""
         self._measures[job.key] = measures
         if self._looks is None or job.label in self._done:
             return
@@ -138,23 +139,23 @@ class Chooser:
 
     @property
     def counted(self) -> list[Job]:
-        """The jobs whose results the table is made of: all that have ended, of a variation that is done those it was done by."""
+        """Return the jobs of the table: all that have ended; of a complete variation, those that completed it."""
         within = {job.key for label, of in self._by_label.items() for job in of[: self._done.get(label, len(of))]}
         return [job for job in self.jobs if job.key in within and self._measures.get(job.key) is not None]
 
     def known(self) -> list[Known]:
-        """What is known at the end of the measures that a width was asked for."""
+        """Return what is known at the end about measures with a requested width."""
         if self._looks is None:
             return []
         return [known for label, of in self._by_label.items() for known in self._known(label, self._done.get(label, len(of)))]
 
     def unheard(self) -> list[str]:
-        """The widths' measures that no run has told of, once one has ended."""
+        """Return the widths' measures that no run has reported, once one has ended."""
         names = self._names() if self.widths else ()
         return [w.measure for w in self.widths if names and not any(name.startswith(w.measure) for name in names)]
 
     def heard_of(self) -> list[str]:
-        """The first words of the measures that runs have told of."""
+        """Return the first words of the measures that runs have reported."""
         return list(dict.fromkeys(name.split(".")[0] for name in self._names()))
 
     def _names(self) -> dict[str, None]:

@@ -25,7 +25,7 @@ NAME = "asked.json"
 
 @dataclass(frozen=True, slots=True)
 class Study:
-    """`variations`: every scene with every point once."""
+    """A study. `variations`: every scene with every point once."""
 
     chosen: Chosen
     scenes: tuple[Path, ...]
@@ -42,7 +42,7 @@ class Study:
         return {factor.name: factor.unit for factor in self.ranges}
 
     def effects(self, table: Sequence[Row], measures: Sequence[str]) -> tuple[list[Effect], list[str]]:
-        """How much each factor matters to these measures, and notes on those of which that is not known. Nothing where the design
+        """Return the effect of each factor on these measures, and notes on measures without a known effect. Empty if the design
         is not made for it."""
         design, shares = self.chosen.design, self.chosen.shares
         if design.analysis is None or shares is None:
@@ -54,11 +54,11 @@ class Study:
 
 
 class NotAsked(Exception):
-    """A folder has no sweep to go on with; the message says why."""
+    """A folder has no sweep to continue; the message says why."""
 
 
 class Asked(BaseModel):
-    """The words of the command line that decide which runs there are, and which the table counts."""
+    """The command line arguments that decide which runs there are, and which the table counts."""
 
     model_config = ConfigDict(strict=True, extra="forbid", frozen=True)
 
@@ -88,7 +88,7 @@ class Asked(BaseModel):
         return words
 
     def keep(self, folder: Path) -> None:
-        """Write it, with paths as they are seen from the folder, so that all may be moved together."""
+        """Write it with paths relative to the folder, so that everything may be moved together."""
         there = self.model_copy(update={"scenes": [_seen(path, folder) for path in self.scenes], "root": self._roots(folder)})
         write_whole(folder / NAME, (there.model_dump_json(indent=1) + "\n").encode())
 
@@ -97,7 +97,7 @@ class Asked(BaseModel):
 
 
 def kept(folder: Path) -> Asked:
-    """What was asked for in a folder, with paths as they are seen from here. NotAsked where nothing was."""
+    """Return the request stored in a folder, with paths as seen from here. Raises NotAsked if there is none."""
     try:
         asked = Asked.model_validate_json(read_bounded(folder / NAME, limits.MIB))
     except OSError:

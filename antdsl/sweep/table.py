@@ -24,7 +24,7 @@ NOT_COMPARED = ("seconds", "fps")  # say something about the machine
 
 @dataclass(frozen=True, slots=True)
 class Row:
-    """One measure of one variation. What did not happen counts as later than everything: a quantile in it is infinite."""
+    """One measure of one variation. What did not happen counts as later than everything: a quantile there is infinite."""
 
     label: str
     measure: str
@@ -38,7 +38,7 @@ class Row:
 
 
 def quantile(values: Sequence[float], share: float) -> float:
-    """The quantile of sorted values, straight between two of them; infinite where it touches an infinite one."""
+    """Return the quantile of sorted values, interpolated linearly; infinite if one of the two values is infinite."""
     place = share * (len(values) - 1)
     low, high = math.floor(place), math.ceil(place)
     if low == high or values[low] == values[high]:
@@ -47,7 +47,7 @@ def quantile(values: Sequence[float], share: float) -> float:
 
 
 def rows(results: Iterable[Result]) -> list[Row]:
-    """All measures that are numbers, in the order in which the runs tell them."""
+    """Return all measures that are numbers, in the order in which the runs report them."""
     found: dict[tuple[str, str], list[float]] = {}
     counts: dict[str, int] = {}
     for job, measures in results:
@@ -59,14 +59,15 @@ def rows(results: Iterable[Result]) -> list[Row]:
 
 
 def _row(label: str, name: str, values: list[float], runs: int) -> Row:
-    # a count that a run does not tell, such as that of a change which nobody made, is 0
+    # a count that a run does not report, such as that of a transition that never occurred, is 0
     values = sorted(values + [0.0] * (runs - len(values)))
     median, lower, upper = (quantile(values, share) for share in (0.5, 0.25, 0.75))
     return Row(label, name, runs, sum(map(math.isfinite, values)), median, lower, upper, values[0], values[-1])
 
 
 def shown(table: Sequence[Row], wanted: Sequence[str]) -> list[str]:
-    """The measures to show: those whose names begin so; by itself when things ran out, else how it moved."""
+    """Return the measures to show: those with names that begin with a word in `wanted`. By default, show when things ran out, or
+    else the motion measures."""
     names = list(dict.fromkeys(row.measure for row in table))
     if not wanted:
         empty = [row.measure for row in table if row.measure.startswith("empty.") and row.happened]
@@ -75,7 +76,7 @@ def shown(table: Sequence[Row], wanted: Sequence[str]) -> list[str]:
 
 
 def text(table: Sequence[Row], measures: Sequence[str]) -> str:
-    """Lines of variations, columns of measures: median (lower quartile – upper quartile)."""
+    """Format variations as lines and measures as columns: median (lower quartile – upper quartile)."""
     found = {(row.label, row.measure): row for row in table}
     labels = list(dict.fromkeys(row.label for row in table))
     lines = [["", "runs", *(name.removeprefix("empty.") + (" 0 at" if name.startswith("empty.") else "") for name in measures)]]
@@ -105,7 +106,7 @@ def _plain(value: float) -> float | None:
 
 
 def as_csv(table: Sequence[Row]) -> str:
-    """One line a variation and measure; what never happened is empty."""
+    """Return one CSV line per variation and measure; what never happened is empty."""
     lines: list[list[object]] = [list(_HEAD)]
     for row in table:
         numbers = [_plain(v) for v in (row.median, row.lower, row.upper, row.least, row.most)]
@@ -114,7 +115,7 @@ def as_csv(table: Sequence[Row]) -> str:
 
 
 def runs_parquet(results: Sequence[Result], units: Mapping[str, str] | None = None) -> bytes | None:
-    """The same as an Apache Parquet file, with numbers as numbers; None where pyarrow is not installed."""
+    """Return the same as an Apache Parquet file, with numbers as numbers; None if pyarrow is not installed."""
     if find_spec("pyarrow") is None:
         return None
     import pyarrow
@@ -136,7 +137,7 @@ def runs_parquet(results: Sequence[Result], units: Mapping[str, str] | None = No
 
 
 def runs_csv(results: Sequence[Result], units: Mapping[str, str] | None = None) -> str:
-    """One line a run, with its values and all its measures. `units`: of the names whose values are told as numbers."""
+    """Return one line per run, with its values and all its measures. `units`: for names with values reported as plain numbers."""
     names = list(dict.fromkeys(name for _, measures in results for name in measures if name not in NOT_COMPARED))
     heads = _heads(results, units or {})
     lines: list[list[object]] = [["label", "seed", *heads.values(), *names]]
@@ -148,18 +149,18 @@ def runs_csv(results: Sequence[Result], units: Mapping[str, str] | None = None) 
 
 
 def _heads(results: Sequence[Result], units: Mapping[str, str]) -> dict[str, str]:
-    """What the columns of the values are called, by name."""
+    """Return the column names of the values, by name."""
     params = dict.fromkeys(name for job, _ in results for name, _ in job.params)
     return {name: f"{name} ({units[name]})" if units.get(name) else name for name in params}
 
 
 def _given(job: Job, units: Mapping[str, str]) -> dict[str, str]:
-    """The values of a run, those with units that are told as numbers without."""
+    """Return the values of a run; those with units that are reported as numbers have none."""
     return {name: value.removesuffix(units.get(name, "")) for name, value in job.params}
 
 
 def known_text(known: Sequence[Known]) -> str:
-    """A line a median: between which results it lies, and whether that is as narrow as was asked for."""
+    """Return one line per median: the results it lies between, and whether they are as narrow as requested."""
     lines = ["Medians, with 95 % between"]
     label_width, width = (max(map(len, words)) for words in zip(*((k.label, k.measure) for k in known), strict=True))
     for each in known:

@@ -1,9 +1,9 @@
 """Text → tree: `read` opens a file safely, `parse` makes a `File` of its text. `format` writes a text in the one layout, `write`
-puts it in the file's place.
+replaces the file.
 
-`scan` makes tokens, `brackets` pairs them, `blocks` cuts the text into lines and blocks; then lark's tables (`tables`, made by
-`grammar`) parse each line by itself and `builder` makes the `nodes`, so that a mistake costs no more than its line. What a
-mistake is called is in `mistakes`; the layout is in `formatting`; `parts` parses only what changed for an editor."""
+`scan` makes tokens, `brackets` pairs them, `blocks` cuts the text into lines and blocks. Then lark's tables (`tables`, made by
+`grammar`) parse each line separately and `builder` makes the `nodes`, so that an error affects only its line. Names of errors are
+in `mistakes`; the layout is in `formatting`. `parts` parses only what changed for an editor."""
 
 from pathlib import Path
 

@@ -1,4 +1,4 @@
-"""Paired tokens → lines, and inside their braces lines again: what each is made of, and its text for the parser."""
+"""Paired tokens → lines, and recursively lines inside their braces: the parts of each line, and its text for the parser."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ class Group:
 
 @dataclass(slots=True)
 class Line:
-    """One statement: its own tokens (braces included, what they hold not), and its groups in text order."""
+    """One statement: its own tokens (braces included, their content not), and its groups in text order."""
 
     tokens: list[Token] = field(default_factory=list)
     groups: list[Group] = field(default_factory=list)
@@ -39,7 +39,7 @@ class Line:
 
 @dataclass(frozen=True, slots=True)
 class Piece:
-    """A stretch of parsed text: where it begins there, where in the source, and how long it is in the source."""
+    """A range of parsed text: where it begins there, where in the source, and its length in the source."""
 
     begin: int
     offset: int
@@ -47,7 +47,7 @@ class Piece:
 
 
 class Lookup:
-    """Text for the parser, with the way back from places in it to the source."""
+    """Text for the parser, with a mapping from its positions to the source."""
 
     def __init__(self, source: Source, parts: list[tuple[str, int, int]]) -> None:
         self.source = source
@@ -83,7 +83,7 @@ class Lookup:
         return len(self.text)
 
     def splice(self, start: int, end: int, text: str) -> Lookup:
-        """The same with `text` in place of the positions from `start` to `end`."""
+        """Return a copy with `text` in place of the positions from `start` to `end`."""
         span = self.span(start, end)
         before, after = self._cut(0, start), self._cut(end, len(self.text))
         return Lookup(self.source, [*before, (text, span.start, span.end - span.start), *after])
@@ -121,7 +121,7 @@ def lookup(scan: Scan, line: Line) -> Lookup:
 
 
 def _up(scan: Scan, above: int, brace: Token) -> Fix | None:
-    """The brace put behind the line above, or None where a comment stands between them."""
+    """Return the fix that moves the brace to the end of the line above, or None if a comment is between them."""
     between = scan.source.text[above : brace.start]
     return None if between.strip() else Fix(Span(scan.source, above, brace.end), " {")
 

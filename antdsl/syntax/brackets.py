@@ -1,5 +1,5 @@
-"""Tokens → the same with every bracket in a pair. A forgotten one is complained about where it was opened, and put in; one too
-many is left out. Line ends inside parentheses disappear."""
+"""Tokens → the same with every bracket in a pair. A missing closing bracket is reported where it was opened, and inserted; a
+surplus one is left out. Line ends inside parentheses disappear."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _JOINING = frozenset(("and", "or", "is", "in", "to", "then", "else"))  # words t
 
 
 def pair(scan: Scan) -> list[Token] | None:
-    """The tokens with paired brackets; None when they are nested too deep to go on."""
+    """Return the tokens with paired brackets; None if they are nested too deeply."""
     depth = 0
     for token in scan.tokens:
         depth += (token.kind == "open") - (token.kind == "close" and depth > 0)
@@ -62,7 +62,7 @@ class _Parentheses:
         return [token for token in self.out if token.kind != "soft"]
 
     def begins_line(self, index: int, text: str) -> bool:
-        """Whether a line starts here that cannot be part of a value: `let x`, `when x`, `state x`."""
+        """Return whether a line starts here that cannot be part of a value: `let x`, `when x`, `state x`."""
         tokens = self.scan.tokens
         if tokens[index].indent < 0 or text not in _LINE_WORDS or index + 1 == len(tokens):
             return False
@@ -98,7 +98,7 @@ class _Parentheses:
         return index
 
     def opens_block(self, index: int) -> bool:
-        """Whether a parenthesis ends the first line of a block that has no brace, and the next line is set in more."""
+        """Return whether a parenthesis ends the first line of a block that has no brace, and the next line is indented more."""
         tokens = self.scan.tokens
         if index + 2 >= len(tokens) or tokens[index + 1].kind != "end":
             return False
@@ -115,7 +115,7 @@ class _Parentheses:
         return text_of(self.scan, below) in _LINE_WORDS
 
     def matches(self, index: int, token: Token, text: str) -> bool:
-        """Pairs a closing bracket with an open one of its kind; what was opened after that one is never closed."""
+        """Pair a closing bracket with an open one of its kind. Brackets opened after that one are never closed."""
         wanted = [_CLOSING[text_of(self.scan, self.out[place])] for place in self.open]
         if text not in wanted:
             if self.closed_later(index, wanted[-1]):
@@ -139,7 +139,7 @@ class _Parentheses:
         return True
 
     def closed_later(self, index: int, wanted: str) -> bool:
-        """Whether the bracket that is open finds its closing one further on in the line."""
+        """Return whether the open bracket has its closing one further on in the line."""
         depth = 0
         for token in self.scan.tokens[index + 1 : index + 1 + _LOOKED_AHEAD]:
             text = text_of(self.scan, token) if token.kind in ("open", "close") else ""
@@ -151,7 +151,8 @@ class _Parentheses:
         return False
 
     def forgotten(self, index: int) -> int:
-        """Something stayed open: close it at the end of its line, or of the lines that are set in more. Gives where to go on."""
+        """Close a bracket that stays open at the end of its line, or of the following lines that are indented more. Returns where
+        to continue."""
         first, last = self.open[0], self.out[self.open[-1]]
         indent = self.indents[self.origin[first]]
         cut = len(self.out)
@@ -181,7 +182,7 @@ class _Parentheses:
 
 @dataclass(slots=True)
 class _Open:
-    """An open brace: its token, its place in the output, and how its line and its contents are set in."""
+    """An open brace: its token, its index in the output, and the indents of its line and its contents."""
 
     token: Token
     indent: int
@@ -190,7 +191,7 @@ class _Open:
 
 
 class _Braces:
-    """Pairs `{ }`. Where they do not add up, how the lines are set in says which one is missing."""
+    """Pairs `{ }`. If their numbers differ, the indents of the lines decide which one is missing."""
 
     def __init__(self, scan: Scan, tokens: list[Token]) -> None:
         self.scan = scan
@@ -233,7 +234,7 @@ class _Braces:
         self.out.append(token)
 
     def dedent(self, token: Token) -> None:
-        """A line that is not set in more than the one that opened the brace ends the block, if the block was set in."""
+        """End the block at a line that is not indented more than the line with the opening brace, if the block was indented."""
         while self.stack and token.indent >= 0:
             top = self.stack[-1]
             own_line = self.set_in if top.inner is None else top.inner == -1 or top.inner > top.indent
@@ -242,7 +243,7 @@ class _Braces:
             self.close_before_line()
 
     def closes(self, token: Token, indent: int) -> bool:
-        """Whether a `}` pairs with an open brace; if not it is complained about and left out."""
+        """Return whether a `}` pairs with an open brace; if not, report it and leave it out."""
         if token.indent >= 0:
             if any(entry.indent == token.indent for entry in self.stack) and not (self.stack[-1].indent < token.indent):
                 while self.stack[-1].indent != token.indent:
@@ -268,7 +269,8 @@ class _Braces:
         return False
 
     def opened_late(self, token: Token) -> bool:
-        """A block lost its `{`: find the line, as far in as the `}`, that begins one, and give it back."""
+        """Insert a missing `{`: find the line that begins a block with the same indent as the `}`. Returns whether there is
+        one."""
         nothing_left = -1 if len(self.scan.report.diagnostics) < _SEARCHED else len(self.out)
         for place in range(len(self.out) - 1, nothing_left, -1):
             candidate = self.out[place]
@@ -288,7 +290,7 @@ class _Braces:
         return self.drop(token)
 
     def close_before_line(self) -> None:
-        """Complains about the innermost brace, and puts in its `}` at the end of the last line that was read."""
+        """Report the innermost open brace, and insert its `}` at the end of the last line read."""
         entry = self.stack.pop()
         place = len(self.out)
         while place and self.out[place - 1].kind == "end":
@@ -299,7 +301,7 @@ class _Braces:
 
 
 def _unclosed(scan: Scan, token: Token, sign: str, at: int) -> None:
-    """Complain about a bracket that stays open and is taken to end at `at`."""
+    """Report a bracket that stays open and is assumed to end at `at`."""
     code, closing = ("unclosed-brace" if sign == "{" else "unclosed-bracket"), _CLOSING[sign]
     fix = closing if sign != "{" else f" {closing}"
     scan.error(code, f"`{sign}` is never closed", token.start, token.end, f"write the missing `{closing}`", fix, at)

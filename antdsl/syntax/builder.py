@@ -1,7 +1,6 @@
-"""Makes the tree: one method for each rule of the grammar, called by the parser from the leaves up.
+"""Builds the tree: one method for each rule of the grammar, called by the parser from the leaves up.
 
-The parser sees a line with empty braces; what stands between them has been parsed before and is looked up by the brace's place.
-"""
+The parser sees a line with empty braces. Their content has been parsed before and is looked up by the brace's offset."""
 
 from __future__ import annotations
 
@@ -61,7 +60,7 @@ class Block:
 
 
 class Builder:
-    """Holds where the line lies that is being parsed (`place`) and the bodies inside it (`bodies`, by the offset of the `{`)."""
+    """Stores the location of the line being parsed (`place`) and the bodies inside it (`bodies`, by the offset of the `{`)."""
 
     def __init__(self) -> None:
         self.place: Place
@@ -70,12 +69,12 @@ class Builder:
     # --- places and leaves ---
 
     def at(self, part: Any) -> Span:
-        """The span of a token, or of a node that has been built already."""
+        """Return the span of a token, or of a node that is already built."""
         found: Span = self.place.span(part.start_pos, part.end_pos) if hasattr(part, "start_pos") else part.span
         return found
 
     def over(self, parts: Sequence[Any]) -> Span:
-        """The span from the first to the last part that is there."""
+        """Return the span from the first to the last part that exists."""
         there = [part for part in parts if part is not None]
         return self.at(there[0]).to(self.at(there[-1]))
 
@@ -395,5 +394,5 @@ class Builder:
 
 
 def _given(parts: Sequence[Any]) -> tuple[Any, ...]:
-    """The arguments that are there: an empty pair of parentheses gives none."""
+    """Return the existing arguments: none for an empty pair of parentheses."""
     return tuple(part for part in parts if part is not None and not hasattr(part, "start_pos"))

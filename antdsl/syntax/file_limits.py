@@ -18,7 +18,7 @@ NOTHING: Sizes = (0, 0, 0)
 
 
 def sizes_of(scanned: Scan, lines: list[Line]) -> Sizes:
-    """How many words, statements and species a text has."""
+    """Return the number of words, statements and species of a text."""
     return len(scanned.tokens), sum(1 for _ in _statements(lines)), len(_species(scanned, lines))
 
 
@@ -34,7 +34,8 @@ def is_within(sizes: Sizes) -> bool:
 
 
 def has_too_many(scanned: Scan, lines: list[Line]) -> bool:
-    """Whether a text has more words, statements or species than are allowed, counted before the costly work. Reports it."""
+    """Return whether a text has more words, statements or species than allowed, and report it. They are counted before the
+    expensive work."""
     species = _species(scanned, lines)
     statements = [line.tokens[0] for line in _statements(lines)]
     counts = ((species, limits.SPECIES, "species"), (statements, limits.STATEMENTS, "statements"))
@@ -53,7 +54,7 @@ def _species(scanned: Scan, lines: list[Line]) -> list[Token]:
 
 
 def _statements(lines: list[Line]) -> Iterator[Line]:
-    """Lines and all that are within their braces, in the order of the text."""
+    """Yield lines and all lines within their braces, in the order of the text."""
     for line in lines:
         yield line
         for group in line.groups:

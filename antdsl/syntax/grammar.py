@@ -1,4 +1,4 @@
-"""Grammar → tables: `python -m antdsl.syntax.grammar` writes the verbs into the grammar, and the JSON that ships. Needs
+"""Grammar → tables: `python -m antdsl.syntax.grammar` writes the verbs into the grammar, and writes the shipped JSON. Needs
 `interegular` to find collisions."""
 
 from __future__ import annotations
@@ -27,14 +27,14 @@ def grammar_text() -> str:
 
 
 def build_parser(starts: tuple[str, ...] = STARTS, transformer: object | None = None) -> Lark:
-    """A parser straight from the grammar, refusing every conflict. Takes half a second and needs `interegular`."""
+    """Build a parser directly from the grammar; every conflict is an error. Takes half a second and needs `interegular`."""
     from lark import Lark
 
     return Lark(grammar_text(), parser="lalr", lexer="contextual", strict=True, start=list(starts), transformer=transformer)
 
 
 def tables_text() -> str:
-    """The tables as JSON text, the same from build to build."""
+    """Return the tables as JSON text, the same for every build."""
     from lark.grammar import Rule
     from lark.lexer import TerminalDef
 
@@ -47,8 +47,8 @@ def tables_text() -> str:
 
 
 def numbered(table: dict[str, Any]) -> dict[str, Any]:
-    """A parse table whose tokens are numbered by their names, and its states as one comes upon them from the start states on,
-    breadth first by the tokens' names: lark's own numbers go by addresses in memory, and are others in each build."""
+    """Return a parse table with tokens numbered by name, and states by breadth-first order from the start states along token
+    names. Lark's own numbers depend on memory addresses and differ between builds."""
     names = sorted(table["tokens"].values())
     token = {old: names.index(name) for old, name in table["tokens"].items()}
     states = {

@@ -1,7 +1,6 @@
-"""The tree of a `.ant` file, as written: no name is resolved here and no unit is understood.
+"""The tree of a `.ant` file, as in the source: names are not resolved and units are not interpreted.
 
-Every node has a `span`. A name is a `Name(text, span)`, never a bare string. Nodes are frozen and compare by identity.
-"""
+Every node has a `span`. A name is a `Name(text, span)`, never a bare string. Nodes are frozen and compare by identity."""
 
 from __future__ import annotations
 
@@ -88,7 +87,7 @@ class Index:
 
 @node
 class IndexAll:
-    """`likes[n in SET]`, where a line adds to a value about each of a set."""
+    """`likes[n in SET]`, where a line adds to one value for each member of a set."""
 
     owner: Expr
     variable: Name
@@ -199,7 +198,7 @@ class NoneOf:
 
 @node
 class BadExpr:
-    """Stands where an expression could not be read; the complaint has been made already."""
+    """Replaces an expression that could not be read; the error is already reported."""
 
     span: Span
 
@@ -228,7 +227,7 @@ Expr = (
 
 @node
 class TypeName:
-    """`length`, `push`, `item of food` (`of`), `field to …` is reserved."""
+    """`length`, `push`, `item of food` (`of`); `field to …` is reserved."""
 
     name: Name
     of: Name | None
@@ -264,8 +263,9 @@ class Assign:
 
 @node
 class Ask:
-    """A line that begins with a verb of `antdsl.syntax.verbs`: `die`, `spawn worker`, `carve hill(radius: 2 mm)` (`arguments`),
-    `deposit trail 2 /s` and `channel jaw = load` (`amount`), `emit hit to other` (`to`), `wear load when load > 0` (`when`)."""
+    """A line that begins with a verb of `antdsl.syntax.verbs`: `die`, `spawn worker`, `carve hill(radius: 2 mm)` (`arguments`).
+    Others are `deposit trail 2 /s` and `channel jaw = load` (`amount`), `emit hit to other` (`to`), `wear load when load > 0`
+    (`when`)."""
 
     verb: str
     name: Name | None
@@ -291,7 +291,7 @@ Action = Assign | Ask | Give
 
 @node
 class Take:
-    """`amount` None is all; without an `attribute` what is taken is gone."""
+    """`amount` None means all. Without an `attribute`, what is taken is removed."""
 
     amount: Expr | None
     attribute: Name | None
@@ -556,10 +556,11 @@ class Behaviour:
 
 @node
 class SpecLine:
-    """`kind`: for seeds pass set against always never eventually finally sooner within until each. `for` and `within` have a
-    `time`, and a `for` without a condition is how long the run is; `seeds` (a number or a range), `pass` and `set` (the value)
-    keep theirs in `condition`; `target` is what `set` sets, the species of `each` (a NameRef), or the scene of `against` (a
-    Text). `since` is the condition of a `when`."""
+    """A line of a spec. `kind`: for seeds pass set against always never eventually finally sooner within until each.
+
+    `for` and `within` have a `time`; a `for` without a condition is the length of the run. `condition` also holds the value of
+    `seeds` (a number or a range), `pass` and `set`. `target`: what `set` sets, the species of `each` (a NameRef), or the scene of
+    `against` (a Text). `since`: the condition of a `when`."""
 
     kind: str
     target: Expr | Text | None
@@ -584,8 +585,8 @@ TopItem = Use | World | FieldDecl | Species | Behaviour | Spec
 
 @node
 class File:
-    """One parsed file. `items` holds what could be read, in text order, even where other parts were broken; `recovered` are the
-    places where a line was not understood as it stands, of which the report of parsing tells; `broken`: it tells an error."""
+    """One parsed file. `items`: what could be read, in text order, even if other parts were broken. `recovered`: locations of
+    lines that were not understood as in the source, which the report of parsing lists. `broken`: that report has an error."""
 
     source: Source
     edition: Number | None
@@ -597,6 +598,6 @@ class File:
     parts: Mapping[Source, int] = field(default_factory=dict)
 
     def whole(self, span: Span) -> Span:
-        """The place in `source` of a place in one of `parts`: sources of their own, by where each begins."""
+        """Return the location in `source` of a location in one of `parts`, which are separate sources with known offsets."""
         base = self.parts.get(span.source)
         return span if base is None else Span(self.source, base + span.start, base + span.end)

@@ -1,7 +1,6 @@
-"""Source → File: the text is cut into lines, and each line is parsed by itself, so that a mistake costs no more than its line.
+"""Source → File: the text is cut into lines, and each line is parsed separately, so that an error affects only its line.
 
-Of a line that cannot be read, what is not understood is replaced by an unreadable expression, and what still makes sense is kept.
-"""
+In a line with errors, the unreadable part becomes an unreadable expression, and the rest is preserved."""
 
 from __future__ import annotations
 
@@ -92,7 +91,7 @@ def _tools() -> tuple[Lark, Builder]:
 
 
 def parse(source: Source) -> tuple[n.File, Report]:
-    """Read a text. The file holds all that could be understood; the report says what could not, and where. Never raises."""
+    """Parse a text. The file has everything that was understood; the report says what was not, and where. Never raises."""
     report = Report()
     other = _other_language(source.text)
     if other is not None:
@@ -116,8 +115,8 @@ def parse(source: Source) -> tuple[n.File, Report]:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Part:
-    """Lines of a file that were read by themselves. `edition` and `help` are there only where the part begins the file.
-    `sizes`: how many words, statements and species it has."""
+    """Lines of a file that were read separately. `edition` and `help` only exist if the part begins the file. `sizes`: the number
+    of its words, statements and species."""
 
     source: Source
     nodes: tuple[Any, ...]
@@ -130,8 +129,10 @@ class Part:
 
 
 def parse_part(source: Source, rule: str, *, begins: bool = False) -> Part:
-    """Read some whole lines of a file by the rule of what is around them: `top`, or `member` inside a species. Braces must be
-    paired in it; one with more than a file may have is not read. `begins`: it is the beginning of the file. Never raises."""
+    """Parse some complete lines of a file by the rule of their context: `top`, or `member` inside a species.
+
+    Its braces must be paired. A part that exceeds the limits of a file is not read. `begins`: it is the beginning of the file.
+    Never raises."""
     report = Report()
     scanned = scan(source, report)
     tokens = pair(scanned)
@@ -150,7 +151,7 @@ def parse_part(source: Source, rule: str, *, begins: bool = False) -> Part:
 
 
 def _other_language(text: str) -> str | None:
-    """JSON or YAML that carries the wrong ending: told by its first line."""
+    """Return the language of a JSON or YAML file with the wrong extension, detected from its first line; else None."""
     first = text.lstrip("\ufeff \t\r\n")[:200]
     if re.match(r"""[\[{]\s*["{\[\]}]""", first):
         return "JSON"
@@ -179,7 +180,7 @@ class _Reading:
         return n.File(self.source, edition, help, items, comments, self.recovered(), broken)
 
     def beginning(self, lines: list[Line]) -> tuple[n.Number | None, n.Text | None, list[Line]]:
-        """The edition and the help of a file, and the lines that follow."""
+        """Return the edition and the help of a file, and the lines that follow."""
         edition, lines = self.header(lines)
         help: n.Text | None = None
         if lines and [token.kind for token in lines[0].tokens] == ["text"]:
@@ -191,7 +192,7 @@ class _Reading:
         return tuple(d.span for d in self.report.diagnostics if d.code in _DOUBTFUL and d.span is not None)
 
     def header(self, lines: list[Line]) -> tuple[n.Number | None, list[Line]]:
-        """The edition. Without one the current edition holds, with a warning."""
+        """Return the edition and the lines that follow. Without one, use the current edition and add a warning."""
         if lines and [token.kind for token in lines[0].tokens] == ["number"]:
             span = Span(self.source, lines[0].start, lines[0].end)
             self.report.error("unexpected-text", f"file begins with `{span.text}`", span, "write `ant 1` as the first line")
@@ -219,7 +220,7 @@ class _Reading:
         return tuple(node for line in lines for node in self.line(line, rule))
 
     def line(self, line: Line, rule: str) -> list[Any]:
-        """The node of a line, none when it makes no sense, two when a line end is missing."""
+        """Return the node of a line; none if it has no valid reading, two if a line end is missing."""
         first = text_of(self.scan, line.tokens[0])
         if line.groups and first not in LINE_WORDS[rule] and not self.at_error_limit():
             first = nearest_name(first, LINE_WORDS[rule]) or first
@@ -241,14 +242,14 @@ class _Reading:
             return [] if at_error_limit else self.recover(line, text, rule, unexpected)
 
     def mute(self, group: Group) -> None:
-        """Where a `}` was forgotten, nobody knows where the block ends: its last line may hold words from outside it."""
+        """Suppress faults of a block with a missing `}`: its end is unknown, and its last line may hold words from outside it."""
         if group.close.virtual and group.lines:
             one_line = "\n" not in self.source.text[group.open.start : group.close.end]
             for line in group.lines if one_line else group.lines[-1:]:
                 insort(self.scan.faults, line.start)
 
     def at_error_limit(self) -> bool:
-        """Whether there are so many complaints that nobody reads what more could be said."""
+        """Return whether there are so many errors that further ones are of no use."""
         return len(self.report.diagnostics) > _MENDED
 
     def attempt(self, text: Lookup, rule: str) -> Any:
@@ -256,7 +257,7 @@ class _Reading:
         return self.parser.parse(text.text, start=rule)
 
     def damaged(self, line: Line, text: Lookup) -> bool:
-        """Whether something has been said about this line already."""
+        """Return whether an error about this line is already reported."""
         for _, offset, length in text.parts[:-1]:
             if self.scan.has_fault(offset, offset + length - 1):
                 return True
@@ -265,7 +266,7 @@ class _Reading:
         return self.scan.has_fault(offset, len(self.source.text) if stop < 0 else stop)
 
     def checked(self, node: Any, line: Line) -> list[Any]:
-        """What the grammar leaves open: depth, the one result of a behaviour, a word that is no property."""
+        """Check what the grammar leaves open: depth, the one result of a behaviour, a word that is not a property."""
         if len(line.tokens) > limits.EXPRESSION_DEPTH:
             for span in deep_places(node):
                 message = f"expression more than {limits.EXPRESSION_DEPTH} operations deep"
@@ -322,7 +323,7 @@ class _Reading:
         )
 
     def recover(self, line: Line, text: Lookup, rule: str, unexpected: UnexpectedToken) -> list[Any]:
-        """What can still be understood of a line about which a complaint has been made."""
+        """Return what can still be understood of a line with a reported error."""
         position = text.position(unexpected.span.start)
         if unexpected.found and begins_line(unexpected):
             halves = [text.splice(position, len(text.text), ""), text.splice(0, position, "")]
@@ -363,8 +364,8 @@ class _Reading:
         yield from self.bare(line, text, rule)
 
     def slots(self, line: Line, text: Lookup, position: int) -> tuple[list[int], list[int], int]:
-        """Where the part that cannot be read may begin and end: next to the separators around it, and at the line's ends. The
-        third is where the separator before it begins, for leaving the whole clause out."""
+        """Return where the unreadable part may begin and end: next to the separators around it, and at the line's ends. The third
+        value is where the previous separator begins, for leaving out the whole clause."""
         marks: list[tuple[int, int]] = []
         depth = 0
         for token in line.tokens:
@@ -382,7 +383,7 @@ class _Reading:
         return [*lefts, *reversed(heads), 0], [*rights, len(text.text)], clause
 
     def bare(self, line: Line, text: Lookup, rule: str) -> Iterator[Lookup]:
-        """A block whose first line makes no sense, with no more than its word, its name and its braces."""
+        """Yield a block with an unreadable first line, with only its word, its name and its braces."""
         words = [token for token in line.tokens if token.kind in ("word", "text")][:2]
         first = text_of(self.scan, line.tokens[0])
         if not line.groups or BODIES.get((rule, first)) is None or len(words) < 2:

@@ -1,4 +1,4 @@
-"""A text that changes a little at a time: cut into blocks, each parsed once for as long as its text is the same."""
+"""Incremental parsing of a text: it is cut into blocks, and each is parsed again only when its text changes."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ _MOST = 50  # complaints of parsing, after which less is said of further ones
 
 @dataclass(frozen=True, slots=True)
 class Cut:
-    """Whole lines from one offset to another, and the rule that reads them."""
+    """Complete lines from one offset to another, and the rule that reads them."""
 
     rule: str
     start: int
@@ -38,8 +38,8 @@ class Cut:
 
 
 def cuts(text: str) -> list[Cut] | None:
-    """The blocks of a text in order: those at the top of the file, a species as its first line and its members. None where the
-    brackets are not paired, or something else asks for the whole text."""
+    """Return the blocks of a text in order: those at the top of the file; for a species, its first line and its members. None if
+    the brackets are not paired, or something else requires the whole text."""
     tops, members = _bounds(text)
     if not tops or not _EDITION.match(text, 0, tops[0]):
         return None
@@ -50,8 +50,8 @@ def cuts(text: str) -> list[Cut] | None:
 
 
 def _bounds(text: str) -> tuple[list[int] | None, dict[int, tuple[list[int], int]]]:
-    """Where blocks begin at the top of the file, and by the offset of each opening brace there: where lines begin that belong
-    to it alone, and where it closes."""
+    """Return where blocks begin at the top of the file. Also return, by the offset of each opening brace there, where its own
+    lines begin and where it closes."""
     tops: list[int] = [0] if _word(text, 0) in _TOP else []
     members: dict[int, tuple[list[int], int]] = {}
     stack: list[str] = []
@@ -107,14 +107,14 @@ def _species(text: str, start: int, end: int, members: dict[int, tuple[list[int]
 
 @dataclass(slots=True)
 class Parts:
-    """The parsed blocks of one file, kept from one version of it to the next."""
+    """The parsed blocks of one file, stored from one version of it to the next."""
 
     _known: list[tuple[Cut, str, Part]] = field(default_factory=list)
     _count: int = 0
 
     def parse(self, source: Source) -> tuple[n.File, Report]:
-        """As `syntax.parse`, to the same complaints. The file's nodes have places in its parts: `File.whole` gives those in
-        `source`. Comments behind the closing brace of a species are left out."""
+        """As `syntax.parse`, with the same errors. The file's nodes have locations in its parts: `File.whole` converts them to
+        `source`. Comments after the closing brace of a species are left out."""
         found = cuts(source.text)
         if found is None or len(found) < 3:
             return parse(source)
@@ -143,8 +143,8 @@ class Parts:
         return _file(source, parts)
 
     def _same(self, found: list[Cut], texts: list[str]) -> tuple[int, int]:
-        """How many blocks at the beginning and at the end are as they were. Two blocks with one text are two places, so order
-        tells which is which."""
+        """Return how many blocks at the beginning and at the end are unchanged. Blocks with equal text have different locations,
+        so their order identifies them."""
         known, most = self._known, min(len(self._known), len(found))
         before = after = 0
         while before < most and self._is_same(known[before], found[before], texts[before]):
@@ -187,7 +187,7 @@ def _file(source: Source, parts: list[tuple[Cut, Part]]) -> tuple[n.File, Report
 
 
 def moved(found: Diagnostic, whole: Callable[[Span], Span]) -> Diagnostic:
-    """A complaint with its places in whole files instead of in parts of them."""
+    """Return a diagnostic with its locations in complete files instead of in parts of them."""
     labels = tuple(Label(whole(label.span), label.text) for label in found.labels)
     fix = Fix(whole(found.fix.span), found.fix.text) if found.fix is not None else None
     return replace(found, span=whole(found.span) if found.span is not None else None, labels=labels, fix=fix)

@@ -1,5 +1,6 @@
-"""Source → tokens for cutting and a clean text for parsing. What no `.ant` text may hold is reported here, and put right where
-the meaning is plain, so that one slip gives one complaint. The clean text is as long as the source: an offset holds for both."""
+"""Source → tokens for cutting and a clean text for parsing. What no `.ant` text may contain is reported here. It is corrected if
+the meaning is clear, so that one mistake gives one message. The clean text is as long as the source: an offset is valid for
+both."""
 
 from __future__ import annotations
 
@@ -29,8 +30,8 @@ UNREADABLE = "\ufffd"
 
 @dataclass(frozen=True, slots=True)
 class Token:
-    """`kind`: word number text sign open close end. `indent` is that of its line where it is the first there, else -1.
-    `virtual` is the text of a bracket that the author forgot; it has no length in the source."""
+    """`kind`: word number text sign open close end. `indent`: that of its line if it is the first there, else -1. `virtual`: the
+    text of a bracket that the author forgot; it has no length in the source."""
 
     kind: str
     start: int
@@ -41,7 +42,7 @@ class Token:
 
 @dataclass(slots=True)
 class Scan:
-    """What scanning found. `clean` is a list of single characters until `text()` is asked for."""
+    """The result of scanning. `clean` is a list of single characters until `text()` is called."""
 
     source: Source
     report: Report
@@ -60,7 +61,7 @@ class Scan:
         fix: str | None = None,
         at: int | None = None,
     ) -> None:
-        """`fix` is to be written in place of the span, or at the offset `at`."""
+        """Report an error. `fix`: the text to write in place of the span, or at the offset `at`."""
         span = Span(self.source, start, end)
         place = span if at is None else Span(self.source, at, at)
         self.report.error(code, message, span, help, fix=None if fix is None else Fix(place, fix))
@@ -73,7 +74,7 @@ class Scan:
         self.clean[start : start + len(text)] = text
 
     def has_fault(self, start: int, end: int) -> bool:
-        """Whether a complaint has been made between two offsets; `faults` must be sorted."""
+        """Return whether an error was reported between two offsets; `faults` must be sorted."""
         found = bisect_left(self.faults, start)
         return found < len(self.faults) and self.faults[found] <= end
 
@@ -108,7 +109,7 @@ _NO_NUMBERS = ("nan", "inf", "infinity")
 
 
 def scan(source: Source, report: Report) -> Scan:
-    """The tokens of a whole text. Complaints go into `report`; whatever the text, no exception."""
+    """Return the tokens of a text. Errors go to `report`; no text raises an exception."""
     found = Scan(source, report, list(source.text))
     look_over(found)
     _Scanner(found).run()
@@ -117,7 +118,7 @@ def scan(source: Source, report: Report) -> Scan:
 
 
 class _Scanner:
-    """One walk over the text. Each kind of piece has a method; `odd` ones are put right or blanked."""
+    """One pass over the text. Each kind of token has a method; `odd` ones are corrected or blanked."""
 
     def __init__(self, found: Scan) -> None:
         self.found = found
@@ -203,7 +204,7 @@ class _Scanner:
         return self.token("word", start, end)
 
     def hyphens(self, start: int, end: int, piece: str) -> int:
-        """`turn-home` where a name is declared or a state is named."""
+        """Correct hyphens, such as `turn-home`, in a name that is declared or names a state."""
         better = piece.replace("-", "_").lower()
         if piece not in self.reported:
             self.reported.add(piece)
@@ -213,7 +214,7 @@ class _Scanner:
         return self.token("word", start, end)
 
     def foreign_word(self, start: int) -> int:
-        """A word with letters or digits that are not ASCII: put right letter by letter."""
+        """Correct a word with letters or digits that are not ASCII, letter by letter."""
         match = _ANY_WORD.match(self.characters, start)
         piece = match.group() if match else self.characters[start]
         end = start + len(piece)
@@ -269,7 +270,8 @@ class _Scanner:
         return self.token("number", start, end)
 
     def commas(self, start: int, end: int) -> int:
-        """A number with a comma in it, where no comma can part two: it is read on with a dot if that is what is meant."""
+        """Report a number with a comma where no comma can separate two numbers. If a decimal comma is meant, read it with a
+        dot."""
         told = comma_in_number(Span(self.found.source, start, end))
         self.found.report.add(told)
         self.found.faults.append(start)
@@ -279,7 +281,7 @@ class _Scanner:
         return self.token("number", start, self.quantity_end(end))
 
     def unreadable(self, start: int, end: int) -> int:
-        """A number of which the unit is not known: whoever checks units has nothing to say about it."""
+        """Add a token for a number with an unknown unit; unit checks skip it."""
         self.found.blank(start, end)
         self.found.replace(start, UNREADABLE)
         return self.token("number", start, end)
@@ -333,7 +335,7 @@ class _Scanner:
         return self.token("sign", start, end) if repair else end
 
     def wide_sign(self, start: int, end: int, repair: str) -> int:
-        """A sign that takes two characters: a blank beside it gives it room."""
+        """Replace a sign such as `≤` by two characters, using an adjacent blank for the second."""
         if self.characters[end : end + 1] == " ":
             end += 1
         elif start > 0 and self.found.clean[start - 1] == " ":

@@ -1,4 +1,4 @@
-"""The shipped parser: the tables made from the grammar are read back from JSON, nothing is built."""
+"""The shipped parser: the tables made from the grammar are loaded from JSON; nothing is built."""
 
 from __future__ import annotations
 
@@ -33,12 +33,12 @@ TABLES_FILE = "tables.json"
 
 
 def grammar_hash() -> str:
-    """SHA-256 of the grammar's text, kept in the tables to tell whether they are fresh."""
+    """Return the SHA-256 of the grammar's text, stored in the tables to detect outdated ones."""
     return hashlib.sha256(resources.grammar_file(GRAMMAR_FILE).read_bytes()).hexdigest()
 
 
 def load_parser(transformer: object) -> Lark:
-    """The parser that ships, with `transformer`'s methods called as rules are recognised."""
+    """Return the shipped parser, which calls the methods of `transformer` when it recognises rules."""
     from lark import Lark
 
     stored = json.loads(resources.grammar_file(TABLES_FILE).read_text(encoding="utf-8"))
@@ -51,5 +51,5 @@ def load_parser(transformer: object) -> Lark:
 
 
 def _whole_keys(table: dict[str, Any]) -> dict[int, Any]:
-    """JSON has only text as keys; lark counts its states, tokens and rules."""
+    """Convert keys to integers: JSON keys are text, but lark numbers its states, tokens and rules."""
     return {int(key): value for key, value in table.items()}

@@ -38,11 +38,10 @@ _OTHERS = (
 
 
 def read(path: str | os.PathLike[str], handle: int | None = None) -> tuple[Source | None, Report]:
-    """Read a `.ant` file: regular, at most 256 KiB, UTF-8 (a byte order mark is dropped, line ends become LF). `handle`: the
-    file, where somebody has opened it already; it is closed.
+    """Read a `.ant` file: regular, at most 256 KiB, UTF-8 (a byte order mark is dropped, line ends become LF). `handle`: the file
+    if it is already open; it is closed.
 
-    Returns no source when it cannot be read; the report says why. Never raises for whatever the path names.
-    """
+    Returns None and a report with the reason if it cannot be read. Never raises, whatever the path names."""
     report = Report()
     name = os.fspath(path)
     data = _bytes(name, handle, report)
@@ -52,7 +51,7 @@ def read(path: str | os.PathLike[str], handle: int | None = None) -> tuple[Sourc
 
 
 def read_bytes(name: str, data: bytes) -> tuple[Source | None, Report]:
-    """The same of bytes that come from elsewhere; `name` is what people know them by."""
+    """As reading a file, for bytes from elsewhere. `name`: their name in messages."""
     report = Report()
     if len(data) > limits.ANT_FILE_BYTES:
         _too_large(name, report)
@@ -106,8 +105,8 @@ def _decode(name: str, data: bytes, report: Report) -> str | None:
 
 
 def write(path: Path, text: str) -> None:
-    """Put a text in the place of a file that is there. Whoever reads it meanwhile, and whoever comes after a crash, sees the old
-    text or the new one. Raises OSError where that cannot be done; the old file is left as it was."""
+    """Replace an existing file with a text by an atomic write: readers, also after a crash, see the old text or the new one.
+    Raises OSError if that fails; the old file is then unchanged."""
     place = path.resolve(strict=True)
     if not os.access(place, os.W_OK):
         # the folder would let us put another file in its place, but this one is not to be changed

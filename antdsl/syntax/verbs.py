@@ -1,9 +1,8 @@
-"""Verbs: words that begin a line in which an agent asks something of the world. Each is a row from which the grammar's form and
+"""Verbs: words that begin a line in which an agent requests something of the world. From each row, the grammar's form and
 terminal, the words that begin a line, and the samples in messages are made.
 
-What such a line means is the row of the same word in `antdsl.program.tables.effects`. After a change here `python -m
-antdsl.syntax.grammar` makes the grammar's part and its tables anew.
-"""
+The meaning of such a line is in the row of the same word in `antdsl.program.tables.effects`. After a change here, `python -m
+antdsl.syntax.grammar` regenerates the grammar's part and its tables."""
 
 from __future__ import annotations
 
@@ -25,7 +24,8 @@ SHAPES: dict[str, str] = {
 
 @dataclass(frozen=True, slots=True)
 class Verb:
-    """`shape`: a word of `SHAPES`. `form`: a line with it, shown as what to write. `next`: what comes right after, in words."""
+    """A verb. `shape`: a word of `SHAPES`. `form`: an example line, displayed in help. `next`: what follows directly, in
+    words."""
 
     word: str
     shape: str

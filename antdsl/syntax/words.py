@@ -1,4 +1,4 @@
-"""The words that the text of the language is made of: what begins a line where, and the units, with what people write instead."""
+"""The words of the language: what may begin a line in each context, and the units, with common mistakes for both."""
 
 from __future__ import annotations
 

@@ -1,10 +1,10 @@
-"""Rotations, scales, shears and affine matrices of many joints of many agents, one array a component.
+"""Rotations, scales, shears and affine matrices of many joints of many agents, one array per component.
 
-Components stand in front: a quaternion is [4, …], a matrix [3, 4, …], and all else has one shape. Every number is made of sums,
-products, quotients and roots in one written order, so that neither the count of agents nor the processor changes a bit (no BLAS,
-no `einsum`: those choose instructions and orders when they run). A local transform is translation · rotation · shear · scale of
-column vectors: a point is scaled first, then sheared (`x += shear1 y + shear2 z`, `y += shear3 z`), turned, and moved.
-"""
+Components are the first axes: a quaternion is [4, …], a matrix [3, 4, …]; the remaining axes are equal for all. Every number is
+computed from sums, products, quotients and roots in one fixed order. So neither the count of agents nor the processor changes a
+bit (no BLAS, no `einsum`: those choose instructions and orders at run time). A local transform is translation · rotation · shear
+· scale of column vectors. A point is scaled first, then sheared (`x += shear1 y + shear2 z`, `y += shear3 z`), rotated, and
+translated."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def normalised(rotation: Numbers) -> Numbers:
 
 
 def product(a: Numbers, b: Numbers) -> Numbers:
-    """Quaternions [4, …] of turning by b and then by a."""
+    """Return quaternions [4, …] of the rotation by b and then by a."""
     ax, ay, az, aw = a
     bx, by, bz, bw = b
     return np.stack([
@@ -96,13 +96,13 @@ def cofactors(m: Numbers) -> Numbers:
 
 
 def determinants(m: Numbers, cofactor: Numbers) -> Numbers:
-    """Determinants […] of matrices whose cofactors are known."""
+    """Return the determinants […] of matrices with known cofactors."""
     found: Numbers = (m[0, 0] * cofactor[0, 0] + m[0, 1] * cofactor[0, 1]) + m[0, 2] * cofactor[0, 2]
     return found
 
 
 def inverse_transposed(m: Numbers) -> Numbers:
-    """The inverse transposed [3, 3, …], by which normals turn; the cofactors where there is no inverse."""
+    """Return the inverse transposed [3, 3, …], which transforms normals; the cofactors where there is no inverse."""
     found = cofactors(m)
     whole = determinants(m, found)
     found /= np.where(whole == 0, m.dtype.type(1), whole)
@@ -110,9 +110,10 @@ def inverse_transposed(m: Numbers) -> Numbers:
 
 
 def rotation_part(m: Numbers) -> Numbers:
-    """The rotation [3, 3, …] nearest to each matrix: of its polar decomposition M = R S, with the sign of S where M mirrors, so
-    that R never does. By Newton's iteration, scaled by Frobenius norms, in float64 (N. J. Higham, Computing the Polar
-    Decomposition, SIAM J. Sci. Stat. Comput. 7, 1986), as many steps for every matrix. No rotation where there is no inverse."""
+    """Return the rotation [3, 3, …] nearest to each matrix, from its polar decomposition M = R S. Where M mirrors, S takes the
+    sign, so R never mirrors. Uses Newton's iteration, scaled by Frobenius norms, in float64, with the same number of steps for
+    every matrix (N. J. Higham, Computing the Polar Decomposition, SIAM J. Sci. Stat. Comput. 7, 1986). Returns no rotation where
+    there is no inverse."""
     found = m[:, :3].astype(np.float64)
     whole = determinants(found, cofactors(found))
     found *= np.where(whole < 0, -1.0, 1.0)
@@ -128,7 +129,7 @@ def rotation_part(m: Numbers) -> Numbers:
 
 
 def _square(m: Numbers) -> Numbers:
-    """The sum of the squares […] of the numbers of matrices [3, 3, …]."""
+    """Return the sum of squares […] of the elements of matrices [3, 3, …]."""
     found: Numbers = m[0, 0] * m[0, 0]
     for k in range(1, 9):
         each = m[divmod(k, 3)]
@@ -137,8 +138,8 @@ def _square(m: Numbers) -> Numbers:
 
 
 def quaternions(m: Numbers) -> Numbers:
-    """Unit quaternions [4, …] of rotation matrices [3, 3 or 4, …], w not negative: of the four ways to take them the one that
-    divides by most (S. W. Shepperd, Quaternion from Rotation Matrix, J. Guidance and Control 1, 1978)."""
+    """Return unit quaternions [4, …] of rotation matrices [3, 3 or 4, …], with w not negative. Of the four formulas, uses the one
+    with the largest divisor (S. W. Shepperd, Quaternion from Rotation Matrix, J. Guidance and Control 1, 1978)."""
     trace = (m[0, 0] + m[1, 1]) + m[2, 2]
     sizes = np.stack([m[0, 0], m[1, 1], m[2, 2], trace])
     best = sizes.argmax(axis=0)
@@ -155,11 +156,12 @@ def quaternions(m: Numbers) -> Numbers:
 
 
 def decomposed(matrices: NDArray[np.float64]) -> tuple[Numbers, Numbers, Numbers, Numbers]:
-    """Translation [3, J], rotation [4, J], scale and shear [3, J], float64, of matrices [J, 4, 4]: `composed` gives them back.
+    """Return translation [3, J], rotation [4, J], scale and shear [3, J], float64, of matrices [J, 4, 4]; `composed` inverts
+    this.
 
-    By Gram and Schmidt's orthogonalisation, column by column; a mirroring matrix has a negative scale along x. A column of
-    length 0 stands for an axis scaled by 0; one in the plane of those before it, which no shear of such an axis gives, for one
-    that is off that plane by a millionth of its length."""
+    Uses Gram-Schmidt orthogonalisation, column by column; a mirroring matrix has a negative scale along x. A column of length 0
+    is an axis scaled by 0. A column in the plane of those before it cannot result from a shear of such an axis. It is treated as
+    off that plane by a millionth of its length."""
     m = np.moveaxis(np.asarray(matrices, np.float64)[:, :3], 0, -1)
     columns = [m[:, c].copy() for c in range(3)]
     axes: list[Numbers] = []
@@ -183,7 +185,7 @@ def decomposed(matrices: NDArray[np.float64]) -> tuple[Numbers, Numbers, Numbers
 
 
 def _across(axes: list[Numbers], count: int) -> Numbers:
-    """A unit vector [3, count] across those that there are."""
+    """Return a unit vector [3, count] perpendicular to the axes that exist."""
     if len(axes) == 2:
         a, b = axes
         return np.stack([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])

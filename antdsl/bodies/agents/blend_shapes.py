@@ -1,11 +1,9 @@
 """Blend shapes: a shape moved toward other shapes of the library by channel values of each agent, with in-betweens.
 
-Each input adds its difference from the base shape, times its weight; weights are not normalised and may be below 0 or above 1.
-An input with in-betweens goes from the base at weight 0 through each of its corrective shapes at that one's weight to the
-primary shape at weight 1, in straight pieces; the outermost pieces go on beyond. An attribute that an in-between does not have
-goes past it. Points are matched by an attribute (`id` unless the base names another) where the base and the other shape both
-have it, else by number; points that find none are there as in the base.
-"""
+Each input adds its difference from the base shape, times its weight; weights are not normalised and may be below 0 or above 1. An
+input with in-betweens is piecewise linear: base at weight 0, each corrective shape at its own weight, primary shape at weight 1.
+The outermost pieces are extrapolated. An in-between that lacks an attribute is skipped for it. Points are matched by an attribute
+(`id` unless the base names another) where both shapes have it, else by number. Points without a match stay as in the base."""
 
 from __future__ import annotations
 
@@ -22,11 +20,11 @@ _LEAST_APART = 1e-6  # in-betweens of the same weight are one
 
 
 def blend_shapes(given: Deformed, shape: Shape, definition: Definition, poses: Poses) -> Deformed:
-    """Add the inputs of a blend shape, weighed by the channels of each agent, to the attributes that it blends (P and N unless it
-    says otherwise). Primitives have no attributes here, so there is nothing to match by `Blend.primitive_id`.
+    """Add the inputs of a blend shape, weighted by the channels of each agent, to the attributes that it blends (default: P and
+    N). Primitives have no attributes here, so `Blend.primitive_id` is not matched.
 
-    Raises ValueError for a shape without blend shapes, for one whose inputs and channels are not as many, and for in-betweens at
-    weight 0 or 1; KeyError for shapes that the library does not have, and channels that the rig does not have."""
+    Raises ValueError for a shape without blend shapes, for different numbers of inputs and channels, and for in-betweens at
+    weight 0 or 1. Raises KeyError for shapes that the library does not have, and channels that the rig does not have."""
     blend = shape.blend
     if blend is None:
         raise ValueError(f"shape `{shape.name}` names no blend shapes (blendshape_shapenames)")
@@ -52,7 +50,7 @@ def blend_shapes(given: Deformed, shape: Shape, definition: Definition, poses: P
 
 
 def _of(given: Deformed, name: str) -> Floats | None:
-    """An attribute [n, P, …] as it has been deformed so far."""
+    """Return an attribute [n, P, …] as deformed so far."""
     return {"P": given.points, "N": given.normals}[name] if name in _OWN else given.attributes.get(name)
 
 
@@ -64,7 +62,7 @@ def _spread(values: Floats | None, n: int) -> Floats:
 
 
 def knots_of(definition: Definition, name: str) -> tuple[list[Shape], NDArray[np.float64]]:
-    """An input's primary shape and its in-betweens with their weights, which rise."""
+    """Return an input's primary shape and its in-betweens, with their weights in ascending order."""
     primary = definition.shapes[name]
     between = primary.between
     found = [(1.0, primary)]
@@ -82,8 +80,8 @@ def knots_of(definition: Definition, name: str) -> tuple[list[Shape], NDArray[np
 
 
 def shares_of(weights: Floats, knots: NDArray[np.float64]) -> Floats:
-    """How much of the difference of each of K shapes an input of these weights [n] adds, float32[K, n]: of the two that a
-    weight lies between what each is near, the base at 0 among them."""
+    """Return the share of the difference of each of K shapes that an input of these weights [n] adds, float32[K, n]. A weight is
+    interpolated between the two nearest knots, the base at 0 among them."""
     places = np.sort(np.append(knots, 0.0))
     weight = weights.astype(np.float64)
     piece = np.clip(np.searchsorted(places, weight, side="right") - 1, 0, len(places) - 2)
@@ -97,7 +95,7 @@ def shares_of(weights: Floats, knots: NDArray[np.float64]) -> Floats:
 
 
 def matched(base: Shape, target: Shape, point_id: str) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Points of the base and the points of another shape that they become."""
+    """Return the matched points: those of the base, and the corresponding points of the other shape."""
     own, other = base.attributes.get(point_id), target.attributes.get(point_id)
     if own is None or other is None:
         both = np.arange(min(len(base.points), len(target.points)))
@@ -115,7 +113,7 @@ def values_of(shape: Shape, name: str) -> NDArray[np.generic] | None:
 
 
 def difference(base: Shape, target: Shape, name: str, here: NDArray[np.intp], there: NDArray[np.intp]) -> Floats:
-    """What another shape has more of an attribute than the base at matched points, float32[components, matched]."""
+    """Return another shape's attribute minus that of the base at matched points, float32[components, matched]."""
     mine, others = values_of(base, name), values_of(target, name)
     assert mine is not None and others is not None
     found = others[there].astype(np.float32) - mine[here].astype(np.float32)

@@ -1,25 +1,24 @@
-"""Clips blended by a tree of layers: what agents play, and the poses that follow.
+"""Clips blended by a tree of layers: what agents play, and the resulting poses.
 
-An agent has a list of clips, each with a time, a weight, a transform group and the layer it is an input of; layers have a mode,
-a weight and the layer that they are an input of themselves. Inputs of a layer are its clips in the order of their list, then its
-layers in the order of theirs. The one layer that is no input of another, with parent -1, gives the pose; its weight is unused.
+An agent has a list of clips, each with a time, a weight, a transform group and the layer it is an input of. Layers have a mode, a
+weight and a parent layer. Inputs of a layer are its clips in list order, then its layers in list order. The root layer, with
+parent -1, gives the pose; its weight is unused.
 
-- `INTERPOLATE`: at each joint the mean of the inputs, weighed by the weight of each times its transform group's weight for the
-  joint. Where all of these are 0 the layer says nothing about the joint: it is the rest pose in the end, and no input to the
-  layer's parent. Of a layer in a layer the weight is times the mean of the weights in the groups below it, so that a layer with
-  one input is as that input itself. Translations, scales, shears and channels are linear means; rotations a sum of quaternions,
-  each on the side of those before it, made unit again.
-- `ADDITIVE`: the first input whole, whatever its weight, and of each other one as much as its weight times its group's weight
-  says, not normalised: of its translation less that of the rest pose, of its rotation as seen from the rest pose, and of its
-  channels less their defaults; scales and shears are the first's.
-- `OVER`: each input lies over those before it, and at each joint takes the place of them by as much as its weight times its
-  group's weight says, at most whole; below the first lies the rest pose. It is none of the document's: what the state machines of
-  an agent play lies over each other so, a wave of the arms over a walk, and a layer that gives way shows what is below.
+- `INTERPOLATE`: at each joint the weighted mean of the inputs. A weight is that of the input times its transform group's weight
+  for the joint. Where all weights are 0 the layer leaves the joint out: the joint gets the rest pose at the end, and the layer is
+  no input to its parent there. The weight of a nested layer is multiplied by the mean of the group weights below it, so a layer
+  with one input equals that input. Translations, scales, shears and channels are linear means. Rotations are a sum of
+  quaternions, each with its sign aligned to those before it, normalised.
+- `ADDITIVE`: the first input in full, whatever its weight, plus the difference of each other input times its weight and its
+  group's weight, not normalised. Differences are translation minus that of the rest pose, rotation relative to the rest pose, and
+  channels minus their defaults. Scales and shears are the first input's.
+- `OVER`: each input replaces those before it at each joint, by its weight times its group's weight, at most 1; the rest pose lies
+  below the first. This mode is not in the documented form. It combines the state machines of an agent, such as a wave of the arms
+  over a walk. A layer that fades out shows what is below.
 
-What others add is measured from the rest pose since a joint that a clip does not have stands there, and then adds nothing; and
-since any clip can be added so, without one being made of differences beforehand. The added rotation stands on the side of the
-parent: the joint is posed by the first input and then turned. A share of it is nlerp from no rotation; weights above 1 add more.
-"""
+Additive inputs are measured from the rest pose, because a joint that a clip lacks is at rest there and so adds nothing. So any
+clip can be added without a prepared difference clip. The added rotation is on the parent's side: the joint is posed by the first
+input and then rotated. A share of it is nlerp from no rotation; weights above 1 add more."""
 
 from __future__ import annotations
 
@@ -39,14 +38,15 @@ INTERPOLATE, ADDITIVE, OVER = 0, 1, 2
 NO_PARENT = -1
 _PART = 1 << 15  # joints worked on at once: their components stay in the cache of a core
 _ONE = np.float32(1)
-_MOST, _LEAST = np.float32(1e18), np.float32(1e-30)  # of weights: shares of more, or of a sum of less, cannot be told in float32
+# limits of weights: float32 cannot resolve shares of larger weights, or of a smaller sum
+_MOST, _LEAST = np.float32(1e18), np.float32(1e-30)
 
 
 @dataclass(frozen=True, slots=True)
 class ClipTree:
-    """What agents that blend alike have in common: for each of S clips its layer (`layers`: agentcliplayerids) and transform
-    group (`groups`: agentcliptransformgroups, "" for the whole rig), for each of L layers its mode (agentcliplayermodes) and
-    parent (agentcliplayerparents). Raises ValueError for what is no tree with one root."""
+    """The clip tree that several agents share. For each of S clips: its layer (`layers`: agentcliplayerids) and transform group
+    (`groups`: agentcliptransformgroups, "" for the whole rig). For each of L layers: its mode (agentcliplayermodes) and parent
+    (agentcliplayerparents). Raises ValueError if this is not a tree with one root."""
 
     layers: tuple[int, ...]
     groups: tuple[str, ...]
@@ -74,21 +74,21 @@ class ClipTree:
 
     @property
     def root(self) -> int:
-        """The layer whose output is the pose."""
+        """The layer that outputs the pose."""
         return self.parents.index(NO_PARENT)
 
     @staticmethod
     def flat(count: int, *groups: str) -> ClipTree:
-        """So many clips that are blended by their weights; the groups of the first ones."""
+        """Return a tree of `count` clips in one layer, blended by their weights; `groups` are those of the first clips."""
         return ClipTree((0,) * count, (*groups, *("",) * (count - len(groups))))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Playing:
-    """What each of n agents plays: `tree` int32[n] counts `trees`; `clips` int32[n, S] (numbers of a `ClipTable`; -1 for none),
-    `times` [n, S] in seconds and `weights` float32[n, S] of the clips (agentclipnames, agentcliptimes, agentclipweights), S the
-    most that a tree has; `layer_weights` float32[n, L] of the layers (agentcliplayerweights). What an agent's tree does not have
-    is not read. Weights below 0, and those that are no number, count as 0."""
+    """What each of n agents plays. `tree` int32[n] indexes `trees`. `clips` int32[n, S] are numbers of a `ClipTable`, -1 for
+    none. `times` [n, S] in seconds and `weights` float32[n, S] belong to the clips (agentclipnames, agentcliptimes,
+    agentclipweights); S is the largest number of clips in a tree. `layer_weights` float32[n, L] are those of the layers
+    (agentcliplayerweights). Entries beyond an agent's tree are not read. Weights below 0, and NaN, count as 0."""
 
     trees: tuple[ClipTree, ...]
     tree: NDArray[np.int32]
@@ -100,7 +100,7 @@ class Playing:
     @staticmethod
     def alike(tree: ClipTree, clips: NDArray[np.int32], times: NDArray[np.float32] | NDArray[np.float64], weights: Floats,
               layer_weights: Floats | None = None) -> Playing:  # fmt: skip
-        """Agents that all have one tree; layers weigh 1 where nothing else is said."""
+        """Return the playing of agents that all share one tree; layer weights are 1 by default."""
         n = len(clips)
         layers = np.ones((n, len(tree.modes)), np.float32) if layer_weights is None else layer_weights
         return Playing((tree,), np.zeros(n, np.int32), clips, times, weights, layers)
@@ -109,11 +109,11 @@ class Playing:
 def posed(
     table: ClipTable, groups: Mapping[str, TransformGroup], playing: Playing, *, local: bool = False, threads: int = 1
 ) -> Poses:
-    """The transforms and channel values of all agents by what they play; local transforms if asked for.
+    """Return the transforms and channel values of all agents for the clips that they play; with `local` also local transforms.
 
-    Raises KeyError for a transform group that there is not, or that names what the rig does not have, IndexError for the number
-    of no clip or tree, ValueError for arrays that do not fit each other or the trees. `threads` and the order of agents change no
-    bit."""
+    Raises KeyError for a transform group that does not exist, or that names what the rig does not have. Raises IndexError for a
+    clip or tree number out of range, and ValueError for arrays that do not fit each other or the trees. `threads` and the order
+    of agents change no bit."""
     _fitting(playing)
     n, joints = len(playing.tree), len(table.order)
     if n and not 0 <= int(playing.tree.min()) <= int(playing.tree.max()) < len(playing.trees):
@@ -147,7 +147,7 @@ def posed(
 
 
 def _fitting(playing: Playing) -> None:
-    """Refuse arrays of other shapes than the trees need."""
+    """Reject arrays with shapes other than the trees need."""
     n = len(playing.tree)
     slots = max((len(tree.layers) for tree in playing.trees), default=0)
     layers = max((len(tree.modes) for tree in playing.trees), default=0)
@@ -158,7 +158,7 @@ def _fitting(playing: Playing) -> None:
 
 
 def _put(into: Floats, table: ClipTable, whose: slice | NDArray[np.intp], found: Floats) -> None:
-    """Matrices of some agents in their place, with joints in the order of the rig."""
+    """Write matrices of some agents into their rows, with joints in the order of the rig."""
     for r in range(3):
         for c in range(4):
             if isinstance(whose, slice):
@@ -169,8 +169,7 @@ def _put(into: Floats, table: ClipTable, whose: slice | NDArray[np.intp], found:
 
 @dataclass(slots=True, eq=False)
 class _Input:
-    """The pose that an input of a layer gives, its weight [n], and how much of it there is at each joint and for each channel:
-    [n], or [J, n] and [C, n]."""
+    """The pose of a layer's input, its weight [n], and its coverage of each joint and channel: [n], or [J, n] and [C, n]."""
 
     pose: Pose
     weight: Floats
@@ -215,7 +214,7 @@ def _by_slot(values: NDArray, whose: slice | NDArray[np.intp]) -> NDArray:  # ty
 
 
 def _heeded(weights: Floats) -> Floats:
-    """Weights from 0 to as much as can be added up; what is no number is 0."""
+    """Return weights limited to the range from 0 to the largest value that can be summed; NaN becomes 0."""
     return np.minimum(np.where(weights > 0, weights, np.float32(0)).astype(np.float32, copy=False), _MOST)
 
 
@@ -258,7 +257,7 @@ def _alone(only: _Input, rest: Pose) -> _Input:
 
 
 def _shares(weights: list[tuple[Floats, Floats]]) -> tuple[list[Floats], Floats, NDArray[np.bool_]]:
-    """Of weights and how much there is of each: shares that add up to 1; the mean of how much there is; where there is none."""
+    """From weights and coverages, return shares that add up to 1, the mean coverage, and where there is none."""
     found = [weight * there for weight, there in weights]
     total, whole = found[0], weights[0][0]
     for each, (weight, _) in zip(found[1:], weights[1:], strict=True):
@@ -272,7 +271,7 @@ def _shares(weights: list[tuple[Floats, Floats]]) -> tuple[list[Floats], Floats,
 
 
 def _join(into: Floats, more: Floats, share: Floats, part: Floats) -> None:
-    """Add a share of quaternions to a sum, on the side of the sum."""
+    """Add a share of quaternions to a sum, with the sign aligned to the sum."""
     np.multiply(into, more, out=part)
     dots = part[0]
     for k in (1, 2, 3):
@@ -283,7 +282,7 @@ def _join(into: Floats, more: Floats, share: Floats, part: Floats) -> None:
 
 
 def _rest_where(pose: Pose, rest: Pose, no_joint: NDArray[np.bool_], no_channel: NDArray[np.bool_]) -> None:
-    """The rest pose at joints, and the defaults of channels, that nothing is said about."""
+    """Set the rest pose at joints, and the defaults of channels, that no input covers."""
     if no_joint.any():
         parts = (pose.translation, pose.rotation, pose.scale, pose.shear)
         for into, still in zip(parts, (rest.translation, rest.rotation, rest.scale, rest.shear), strict=True):

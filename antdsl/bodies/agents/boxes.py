@@ -1,9 +1,8 @@
-"""Bounding boxes of agents from the shapes of their layers: collision layers first, or where there are none the current ones.
+"""Bounding boxes of agents from the shapes of their layers: of the collision layers, or of the current layers if there are none.
 
-A static shape's box is scaled by its binding's bounds scale and then transformed by its joint; a deforming one's is the box of
-the positions of the joints that its capture names, scaled (Houdini 20.5, Agent Primitives, Bounding Box). One that follows a
-single joint moves with it as a static one does. Scaling is about the middle of a box, so that it means the same wherever the box
-lies."""
+A static shape's box is scaled by its binding's bounds scale and then transformed by its joint. A deforming shape's box is the
+scaled box of the positions of its captured joints (Houdini 20.5, Agent Primitives, Bounding Box). One that follows a single joint
+moves as a static one does. Boxes are scaled about their centre, so the result does not depend on their position."""
 
 from __future__ import annotations
 
@@ -21,8 +20,9 @@ Floats = NDArray[Any]  # float32 or float64
 
 
 def layer_boxes(definition: Definition, worlds: Floats, layers: Sequence[str]) -> tuple[Floats, Floats]:
-    """Least and greatest corners [n, 3] of agents whose joints have the world matrices [n, J, 4, 4], in the matrices' own type.
-    Of layers without a shape both are NaN. Raises KeyError for a layer or a shape that the definition does not have."""
+    """Return the lowest and highest corners [n, 3] of agents with joint world matrices `worlds` [n, J, 4, 4], in the type of the
+    matrices. Both are NaN for layers without a shape. Raises KeyError for a layer or a shape that the definition does not
+    have."""
     count = len(worlds)
     least = np.full((count, 3), np.inf, worlds.dtype)
     most = np.full((count, 3), -np.inf, worlds.dtype)
@@ -41,8 +41,8 @@ def agent_boxes(
     definition: Definition, worlds: Floats, current: Sequence[tuple[str, ...]], collision: Sequence[tuple[str, ...]],
     wears: NDArray[np.integer], collides: NDArray[np.integer],
 ) -> tuple[Floats, Floats]:  # fmt: skip
-    """As `layer_boxes`, of agents with layers of their own: agent i wears the layers `current[wears[i]]` and collides with
-    `collision[collides[i]]`, which go first where there are any."""
+    """As `layer_boxes`, for agents with different layers: agent i wears `current[wears[i]]` and collides with
+    `collision[collides[i]]`. Collision layers take precedence where there are any."""
     least = np.full((len(worlds), 3), np.nan, worlds.dtype)
     most = least.copy()
     for a, b in sorted(set(zip(wears.tolist(), collides.tolist(), strict=True))):
@@ -70,7 +70,7 @@ def _binding_box(definition: Definition, binding: Binding, worlds: Floats) -> tu
 
 
 def _middle(extent: tuple[Floats, Floats], scale: Floats) -> tuple[Floats, Floats]:
-    """The middle of a box and its scaled half widths, in the scale's own type."""
+    """Return the centre of a box and its scaled half widths, in the dtype of the scale."""
     low, high = extent
     return ((low + high) / 2).astype(scale.dtype), ((high - low) / 2).astype(scale.dtype) * scale
 
@@ -93,7 +93,7 @@ def _carried(extent: tuple[Floats, Floats], scale: Floats, worlds: Floats, own: 
 
 
 def _joint_positions(worlds: Floats, chosen: list[int]) -> tuple[Floats, Floats]:
-    """The box of some joints' positions, joint by joint: no copy of all matrices is made."""
+    """Return the box of some joints' positions, computed joint by joint to avoid a copy of all matrices."""
     low = worlds[:, chosen[0], :3, 3].copy()
     high = low.copy()
     for joint in chosen[1:]:
@@ -103,13 +103,13 @@ def _joint_positions(worlds: Floats, chosen: list[int]) -> tuple[Floats, Floats]
 
 
 def _followed(shape: Shape) -> list[int]:
-    """The numbers of the joints of its capture that a point of a shape follows with a weight."""
+    """Return the indices of the captured joints that have a weight at any point of a shape."""
     assert shape.capture is not None
     return [int(number) for number in np.unique(shape.capture.joints[shape.capture.weights > 0])]
 
 
 def _extent(definition: Definition, shape: Shape) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """The box of a shape and of all that it may be blended with."""
+    """Return the box of a shape and of all shapes that it may be blended with."""
     inputs = [definition.shapes[name] for name in (shape.blend.shapes if shape.blend else ())]
     shapes = [shape, *inputs]
     shapes += [definition.shapes[name] for each in inputs if each.between for name in each.between.shapes]
@@ -123,8 +123,8 @@ def _extent(definition: Definition, shape: Shape) -> tuple[NDArray[np.float64], 
 
 
 def rest_box(definition: Definition) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """The box of all shapes of all layers in the rest pose, points and not joints: what a body's length is measured by. Without a
-    shape that of the joints."""
+    """Return the box of the points of all shapes of all layers in the rest pose, which defines a body's length. Without shapes it
+    is the box of the joints."""
     world = world_matrices(definition.rig.parents, definition.rig.rest)
     found = [world[:, :3, 3]]
     for layer in definition.layers.values():

@@ -1,4 +1,4 @@
-"""What agents play, from lists of each of them, as in a file of agents: clip names, times, weights, groups and layers."""
+"""What agents play, from one list per agent, as in a file of agents: clip names, times, weights, groups and layers."""
 
 from __future__ import annotations
 
@@ -28,16 +28,16 @@ def playing_of(
     layer_weights: Numbers | None = None,
     parents: Numbers | None = None,
 ) -> Playing:
-    """What n agents play, of their lists laid end to end.
+    """Return what n agents play, from their concatenated lists.
 
-    `counts` [n] says how many clips each has; `names` (text), `times`, `weights`, `groups` (text, "" for the whole rig) and
+    `counts` [n]: the number of clips of each agent. `names` (text), `times`, `weights`, `groups` (text, "" for the whole rig) and
     `layer_ids` are agentclipnames, agentcliptimes, agentclipweights, agentcliptransformgroups and agentcliplayerids of all of
-    them. `layer_counts` [n] says how many layers each has; `modes`, `layer_weights` and `parents` are agentcliplayermodes,
-    agentcliplayerweights and agentcliplayerparents. Without layers the clips are blended by their weights. Agents whose lists of
-    groups, layer ids, modes and parents are the same share a tree.
+    them. `layer_counts` [n]: the number of layers of each agent. `modes`, `layer_weights` and `parents` are agentcliplayermodes,
+    agentcliplayerweights and agentcliplayerparents. Without layers the clips are blended by their weights. Agents with equal
+    lists of groups, layer ids, modes and parents share a tree.
 
-    Raises KeyError for a clip that the definition does not have, and ValueError, which names the agent, for lists that do not
-    fit each other or are no tree with one root."""
+    Raises KeyError for a clip that the definition does not have. Raises ValueError, which names the agent, for lists that do not
+    fit each other or do not form a tree with one root."""
     n, counts = len(counts), np.asarray(counts, np.int64)
     if layer_counts is None:
         layer_counts = np.ones(n, np.int64)
@@ -81,7 +81,7 @@ def _words(names: Numbers | None, count: int) -> tuple[tuple[str, ...], NDArray[
 
 
 def _padded(values: Numbers | None, counts: NDArray[np.int64], missing: float) -> Numbers:
-    """Lists that lie end to end as rows [n, most], filled up."""
+    """Return concatenated lists as rows [n, most], padded with `missing`; `counts` are the lengths."""
     given = np.asarray([] if values is None else values)
     kind = given.dtype if len(given) else np.asarray(missing).dtype
     found = np.full((len(counts), int(counts.max(initial=0))), missing, kind)

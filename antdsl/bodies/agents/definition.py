@@ -16,7 +16,8 @@ _OTHER = re.compile(r"[^a-z0-9_]+")
 
 
 class BodyError(Exception):
-    """Words that fit after the file's name, such as `has no meshes`; `code` is a diagnostic's code, `help` what to do instead."""
+    """A problem with a body file; the message fits after the file's name, such as `has no meshes`. `code` is a diagnostic's code,
+    `help` a correction."""
 
     def __init__(self, message: str, help: str | None = None, code: str = "bad-body") -> None:
         super().__init__(message)
@@ -25,7 +26,7 @@ class BodyError(Exception):
 
 @dataclass(frozen=True, slots=True)
 class Channel:
-    """A number that clips animate beside joints. `transform`: the joint that it belongs to, "" for none."""
+    """A number that clips animate, in addition to joints. `transform`: the joint that it belongs to, "" for none."""
 
     name: str
     default: float = 0.0
@@ -56,7 +57,7 @@ class Rig:
         raise KeyError(name)
 
     def below(self, joint: int) -> NDArray[np.intp]:
-        """The numbers of a joint and of all that hang on it, parents before children."""
+        """Return the numbers of a joint and of all its descendants, parents before children."""
         inside = np.zeros(len(self.names), bool)
         inside[joint] = True
         for number in range(joint + 1, len(self.names)):
@@ -75,8 +76,8 @@ STATE = "state"  # the material that has the colour of the agent's state
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Capture:
-    """Which joints each of P points follows: `joints` int32[P, K] count `names`, `weights` float32[P, K] add up to 1 for each;
-    `inverse` float64[J, 4, 4] takes a point of the rest pose into the space of each joint as it was captured."""
+    """The joints that each of P points follows. `joints` int32[P, K] index `names`; `weights` float32[P, K] add up to 1 for each
+    point. `inverse` float64[J, 4, 4] takes a point of the rest pose into the space of each joint at capture."""
 
     names: tuple[str, ...]
     joints: NDArray[np.int32]
@@ -86,8 +87,8 @@ class Capture:
 
 @dataclass(frozen=True, slots=True)
 class Blend:
-    """Inputs of a blend shape: names of shapes of the library and of the channels that weigh them; which attributes are blended
-    and by which point attribute the points of shapes are matched."""
+    """Inputs of a blend shape: names of library shapes and of the channels that are their weights. Also which attributes are
+    blended, and the point attribute by which points are matched."""
 
     shapes: tuple[str, ...]
     channels: tuple[str, ...]
@@ -106,8 +107,9 @@ class Between:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Shape:
-    """P points and M triangles. `normals` float32[P, 3], `uvs` float32[P, 2] or None; `materials` names, `material` int32[M] the
-    number of each triangle's. `attributes`: further ones of points, by name, an `id` and a blend attribute among them."""
+    """P points and M triangles. `normals` float32[P, 3], `uvs` float32[P, 2] or None. `materials`: names; `material` int32[M]:
+    the material number of each triangle. `attributes`: further point attributes by name, including an `id` and a blend
+    attribute."""
 
     name: str
     points: Floats
@@ -125,7 +127,7 @@ class Shape:
 
 @dataclass(frozen=True, slots=True)
 class Binding:
-    """A shape at a joint (`transform`; "" for a deforming one that follows many). `deformer`: "" for a static shape."""
+    """A shape at a joint (`transform`; "" for a deforming shape that follows many joints). `deformer`: "" for a static shape."""
 
     transform: str
     shape: str
@@ -153,13 +155,13 @@ class TransformGroup:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Clip:
-    """F samples, `rate` of them a second, of the full local transforms of K joints and of C channels.
+    """F samples, `rate` per second, of the full local transforms of K joints and of C channels.
 
-    `translation` float32[F, K, 3] in the definition's units, `rotation` float32[F, K, 4] (unit, x y z w), `scale` float32[F, K,
-    3], `shear` float32[F, K, 3] or None; `transforms.py` says in which order they apply. `values` float32[F, C]. A clip that
-    loops has its first pose again as its last sample. `stride`: how far it goes in one turn, in the definition's units, 0 for a
-    clip that stays where it is. `marks`: seconds by name. `feet`: whether feet stand on the ground while it plays, else legs go
-    as the clip has them."""
+    `translation` float32[F, K, 3] in the definition's units; `rotation` float32[F, K, 4] (unit, x y z w); `scale` float32[F, K,
+    3]; `shear` float32[F, K, 3] or None. `transforms.py` defines their order. `values` float32[F, C]. The last sample of a
+    looping clip repeats its first pose. `stride`: the distance covered in one loop, in the definition's units; 0 for a clip in
+    place. `marks`: seconds by name. `feet`: whether feet are placed on the ground while it plays; else legs move as in the
+    clip."""
 
     name: str
     rate: float
@@ -188,9 +190,9 @@ class Clip:
 
 @dataclass(frozen=True, slots=True)
 class Leg:
-    """A leg that is bent at the knee so that its foot stands on the ground. `upper`, `lower` and `foot` are joints: at the hip
-    where the thigh (femur) begins, at the knee where the shank (tibia) begins, and at what touches the ground. Each of them lies
-    below the one before in the rig, with any joints between."""
+    """A leg with a knee that bends so that its foot stands on the ground. `upper`, `lower` and `foot` are joints: the hip (start
+    of the thigh, femur), the knee (start of the shank, tibia), and the part that touches the ground. Each is a descendant of the
+    one before in the rig; other joints may lie between."""
 
     name: str
     upper: str
@@ -200,13 +202,13 @@ class Leg:
 
 @dataclass(frozen=True, slots=True)
 class Gait:
-    """How feet follow each other at one speed. `speed`: units of length of the definition a second; `stride`: how far the body
-    goes in one cycle; `duty`: the share of the cycle that each foot stands; `lift`: how high a foot swings, in units of length;
-    `phases`: for each leg, in their order, the share of the cycle by which it is ahead.
+    """The timing of feet at one speed. `speed`: length units of the definition per second. `stride`: distance of the body in one
+    cycle. `duty`: share of the cycle in which each foot is on the ground. `lift`: height of a swinging foot, in length units.
+    `phases`: for each leg in order, its lead as a share of the cycle.
 
-    Between two gaits of a definition stride, duty and lift are linear in the speed and phases are those of the slower one; below
-    the slowest and above the fastest the nearest holds, but for the stride, which grows above the fastest as the speed does, so
-    that there are no more cycles a second."""
+    Between two gaits of a definition, stride, duty and lift are linear in the speed; phases are those of the slower one. Below
+    the slowest and above the fastest gait, the nearest one applies. Above the fastest, only the stride changes: it grows with the
+    speed, so that cycles per second stay constant."""
 
     name: str
     speed: float
@@ -221,8 +223,8 @@ Colour = tuple[float, float, float]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Variation:
-    """`scales`: by transform group how much smaller and larger it may be. `materials`: by material colours (linear, 0 to 1), on
-    the way through which that of each agent lies."""
+    """Differences between bodies. `scales`: for each transform group, its smallest and largest scale. `materials`: for each
+    material, colours (linear, 0 to 1); each agent's colour lies on the path through them."""
 
     scales: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     materials: Mapping[str, tuple[Colour, ...]] = field(default_factory=dict)
@@ -240,10 +242,10 @@ UP = (0.0, 1.0, 0.0)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Definition:
-    """`front` and `up`: the axes of its space that it looks along and stands along; `length`: how long it is along `front` in
-    its own units, which is what an agent's `size` scales it to; `unit`: millimetres in one of its units. `materials`: base
-    colours (linear, 0 to 1) by name. `gaits` go from slow to fast. `idle`: the clip of agents that play none ("": rest).
-    `variation`: by what bodies differ."""
+    """An agent definition. `front` and `up`: the forward and upward axes of its space. `length`: its extent along `front` in its
+    own units, which an agent's `size` scales; `unit`: millimetres per unit. `materials`: base colours (linear, 0 to 1) by name.
+    `gaits` go from slow to fast. `idle`: the clip of agents that play none ("": rest pose). `variation`: differences between
+    bodies."""
 
     name: str
     rig: Rig
@@ -263,7 +265,7 @@ class Definition:
     variation: Variation = NONE
 
     def base(self) -> NDArray[np.float64]:
-        """The matrix float64[4, 4] from its own space to that of agents: length 1, front +x, up +y."""
+        """Return the matrix float64[4, 4] from its own space to agent space: length 1, front +x, up +y."""
         ahead, up = np.array(self.front, np.float64), np.array(self.up, np.float64)
         found = np.eye(4)
         found[0, :3], found[1, :3], found[2, :3] = ahead, up, np.cross(ahead, up)
@@ -272,14 +274,15 @@ class Definition:
 
 
 def spoken_name(text: str) -> str:
-    """A name in small letters, digits and `_` that begins with a letter: what else there is becomes one `_`."""
+    """Return a name in lower-case letters, digits and `_` that begins with a letter; each run of other characters becomes one
+    `_`."""
     made = _OTHER.sub("_", text.lower()).strip("_")
     return made if made[:1].isalpha() else f"n{made}"
 
 
 def spoken_names(names: Iterable[str]) -> dict[str, str]:
-    """The spoken name of each; those that are spoken as they stand keep theirs, of others that sound alike the later get `_2`,
-    `_3` and so on."""
+    """Return the display name of each name. Names that are valid in the language do not change. Of other names with equal display
+    names, the later ones get `_2`, `_3` and so on."""
     names = list(names)
     made = {name: name for name in names if spoken_name(name) == name}
     taken = set(made)
@@ -295,8 +298,8 @@ def spoken_names(names: Iterable[str]) -> dict[str, str]:
 
 
 def spoken(body: Definition) -> Definition:
-    """The definition with its clips (the idle one too), their marks, its layers and its transform groups by spoken names.
-    Channels keep theirs: clips and shapes name them."""
+    """Return the definition with the display names of its clips (the idle one too), their marks, its layers and its transform
+    groups. Channel names do not change: clips and shapes refer to them."""
     clips, groups, layers = (spoken_names(each) for each in (body.clips, body.groups, body.layers))
     marked = {name: spoken_names(clip.marks) for name, clip in body.clips.items()}
     if all(name == own for each in (clips, groups, layers, *marked.values()) for name, own in each.items()):

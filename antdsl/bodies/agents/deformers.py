@@ -1,9 +1,8 @@
-"""Deformers by name: what makes a shape of the library follow the transforms and channel values of n agents.
+"""Deformers by name: functions that make a shape of the library follow the transforms and channel values of n agents.
 
-`DEFORMERS` has the document's: `linearskinning`, `dualquatskinning`, `dualquatblendskinning` and `blendshape`. Names joined by
-`+` are applied one after the other (`blendshape+linearskinning`), any that there are. `register` adds one's own. A binding
-without a deformer is a static shape, which the joint it is bound to carries about as it is.
-"""
+`DEFORMERS` has the documented ones: `linearskinning`, `dualquatskinning`, `dualquatblendskinning` and `blendshape`. Names joined
+by `+` are applied in sequence (`blendshape+linearskinning`); any may be joined. `register` adds new ones. A binding without a
+deformer is a static shape that moves rigidly with its joint."""
 
 from __future__ import annotations
 
@@ -22,10 +21,9 @@ _PART = 1 << 15  # points of agents worked on at once
 
 
 class Deformer(Protocol):
-    """A function of a shape as it is so far (the shape of the library at first, for all agents alike: n is 1), the shape of the
-    library, the definition that it belongs to, and the poses of n agents. It gives the shape for each of these agents, and
-    changes nothing of what it is given. It is called with some of the agents at a time; what it gives for one must not depend on
-    who else is there."""
+    """A function of the current shape, the library shape, its definition, and the poses of n agents. The current shape is first
+    the library shape, shared by all agents (n is 1). It returns the shape for each agent and does not modify its arguments. It is
+    called for subsets of agents; the result for one must not depend on the others."""
 
     def __call__(self, given: Deformed, shape: Shape, definition: Definition, poses: Poses) -> Deformed: ...
 
@@ -38,7 +36,7 @@ DEFORMERS: dict[str, Deformer] = {
 }
 
 
-SKINNING = (linear, dual_quaternion, dual_quaternion_blend)  # what moves a shape by the joints of its own points
+SKINNING = (linear, dual_quaternion, dual_quaternion_blend)  # deformers that move a shape by the joints that its points follow
 
 
 def register(name: str, deformer: Deformer) -> None:
@@ -49,7 +47,7 @@ def register(name: str, deformer: Deformer) -> None:
 
 
 def steps(name: str) -> tuple[Deformer, ...]:
-    """The deformers of a name, in the order in which they are applied. Raises KeyError with those that there are."""
+    """Return the deformers of a name, in the order of application. Raises KeyError with the existing names."""
     missing = [part for part in name.split("+") if part not in DEFORMERS]
     if missing:
         raise KeyError(f"there is no deformer `{missing[0]}`; there are {', '.join(DEFORMERS)}, and these joined by `+`")
@@ -57,10 +55,10 @@ def steps(name: str) -> tuple[Deformer, ...]:
 
 
 def bound(definition: Definition, binding: Binding, poses: Poses) -> Deformed:
-    """The shape of a binding for each of n agents, in the space of the agent: deformed, and carried by its joint unless it
-    follows joints by its own points.
+    """Return the shape of a binding for each of n agents, in agent space: deformed, and moved by its joint unless its points
+    follow joints.
 
-    Raises KeyError for a shape, joint or deformer that there is not, and what its deformers raise."""
+    Raises KeyError for a missing shape, joint or deformer, and the errors of its deformers."""
     shape = definition.shapes[binding.shape]
     n = len(poses.world)
     named = shape.blend.attributes if shape.blend else ()

@@ -1,4 +1,4 @@
-"""What behaviour says of a pose beside clips: values of channels, and where parts of a body look."""
+"""Pose controls of behaviour other than clips: values of channels, and where parts of a body look."""
 
 from __future__ import annotations
 
@@ -17,10 +17,12 @@ from antdsl.bodies.agents.varied_bodies import Draws
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Driven:
-    """Of n agents. `channels` float32[n] by spoken name: the value of a channel of the rig whatever clips say, NaN where clips
-    say it. `looks` float32[n, 3] by transform group: unit vectors in the space of the agent (+x ahead, +y up), (1, 0, 0) for
-    who looks straight ahead. `draws`: what bodies differ by. `lean` float32[n, 2]: how much each turns, to the left above 0,
-    and climbs, from -1 to 1; None where no clip goes by that."""
+    """Values that drive the poses of n agents.
+
+    `channels` float32[n] by display name: the value that overrides the clips for a channel of the rig; NaN where the clips
+    decide. `looks` float32[n, 3] by transform group: unit vectors in the agent's space (+x ahead, +y up); (1, 0, 0) looks
+    straight ahead. `draws`: the random variation of bodies. `lean` float32[n, 2]: how much each agent turns (positive: left) and
+    climbs, from -1 to 1; None if no clip depends on it."""
 
     channels: Mapping[str, Floats] = field(default_factory=dict)
     looks: Mapping[str, Floats] = field(default_factory=dict)
@@ -38,7 +40,7 @@ class Driven:
 
 
 def with_channels(table: ClipTable, poses: Poses, channels: Mapping[str, Floats]) -> Poses:
-    """Poses whose channels have the values that are said; a channel that the rig does not have is passed over."""
+    """Return poses in which the given channel values are set where finite. A channel that the rig does not have is ignored."""
     names = {spoken: k for k, spoken in enumerate(spoken_names(each.name for each in table.rig.channels).values())}
     known = {names[name]: value for name, value in channels.items() if name in names}
     if not known:
@@ -53,10 +55,12 @@ def with_channels(table: ClipTable, poses: Poses, channels: Mapping[str, Floats]
 def with_looks(
     table: ClipTable, poses: Poses, looks: Mapping[str, Floats], groups: Mapping[str, TransformGroup], base: NDArray[np.float64]
 ) -> Poses:
-    """Poses whose joints of transform groups are turned to look where it is said: each joint of a group turns, with all below
-    it, about its own place by its weight's share of the shortest turn from straight ahead, but all that hang on each other by no
-    more than the whole. `base` [3, 3] leads from the body's
-    space to that of agents. A group that the body does not have is passed over; `local` is None where anything was turned."""
+    """Return poses in which the joints of transform groups are turned towards the given directions.
+
+    Each joint of a group turns about its own position, with all joints below it. It turns by its weight's share of the shortest
+    rotation from straight ahead; joints of one chain together turn by at most the whole rotation. `base` [3, 3] transforms from
+    the body's space to that of agents. A group that the body does not have is ignored. `local` is None where anything was
+    turned."""
     wanted = {name: look for name, look in looks.items() if name in groups and len(look)}
     if not wanted:
         return poses
@@ -72,8 +76,8 @@ def with_looks(
 
 
 def look_shares(rig: Rig, group: TransformGroup) -> Iterator[tuple[int, float]]:
-    """The joints of a group by number, each with its share of the way that the group looks: its weight, but no more than what
-    all that it hangs on has left over."""
+    """Yield the joints of a group by number, each with its share of the group's look rotation: its weight, but at most what its
+    ancestors left over."""
     left = np.ones(len(rig.names))
     for joint, weight in sorted((rig.joint(member), weight) for member, weight in group.members):
         share = min(weight, float(left[joint]))
@@ -83,7 +87,8 @@ def look_shares(rig: Rig, group: TransformGroup) -> Iterator[tuple[int, float]]:
 
 
 def _shortest(way: Sequence[Floats], ahead: Floats) -> Floats:
-    """The quaternions float32[n, 4] of the shortest turns that bring `ahead` [3] to unit vectors, x, y and z [n]."""
+    """Return the quaternions float32[n, 4] of the shortest rotations that bring `ahead` [3] to unit vectors, given as x, y and z
+    [n]."""
     x, y, z = ahead
     found = np.stack([
         y * way[2] - z * way[1], z * way[0] - x * way[2], x * way[1] - y * way[0],
@@ -101,7 +106,7 @@ def _share(turn: Floats, weight: float) -> Floats:
 
 
 def _turned(world: Floats, joint: int, moved: NDArray[np.intp], turn: Floats) -> None:
-    """Turn some joints [n, J, 3, 4] about the place of one, in place."""
+    """Rotate some joints [n, J, 3, 4] about the position of one joint, in place."""
     x, y, z, w = turn.T
     matrix = np.empty((len(turn), 3, 3), np.float32)
     matrix[:, 0] = np.stack([1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)], axis=1)

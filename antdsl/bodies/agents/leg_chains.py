@@ -1,4 +1,4 @@
-"""The chains of joints that legs are: which joints move with each bone, and where hip and foot are as a body stands."""
+"""The joint chains of legs: which joints move with each bone, and the positions of hip and foot in the standing pose."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ Joints = NDArray[np.intp]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Chain:
-    """A leg by numbers of joints: `upper`, `lower`, `foot`; `thigh`: what hangs below `upper` and not below `lower`, with
-    `upper`; `shank`: the same of `lower` and `foot`; `sole`: `foot` and all below it."""
+    """A leg by joint numbers: `upper`, `lower`, `foot`. `thigh`: `upper` and its descendants that are not below `lower`. `shank`:
+    the same for `lower` and `foot`. `sole`: `foot` and all below it."""
 
     upper: int
     lower: int
@@ -45,8 +45,8 @@ def _below(rig: Rig, joint: int) -> NDArray[np.bool_]:
 
 
 def standing_joints(body: Definition) -> NDArray[np.float64]:
-    """Where joints are as the body stands, float64[J, 3] in body lengths along the axes of agents: in the first sample of its
-    idle clip, or in the rest pose."""
+    """Return joint positions in the standing pose, float64[J, 3], in body lengths along the axes of agents. The pose is the first
+    sample of its idle clip, or the rest pose."""
     table = clip_table(body)
     number = table.number(body.idle) if body.idle in body.clips else REST
     world = transforms(table, sampled(table, np.array([number]), np.zeros(1)))[1]
@@ -57,7 +57,7 @@ def standing_joints(body: Definition) -> NDArray[np.float64]:
 
 
 def legs_of(body: Definition) -> LegsData:
-    """The legs of a body that has some, in its lengths."""
+    """Return the legs of a body that has some, in body lengths."""
     places = standing_joints(body)
     chains = [chain(body.rig, leg) for leg in body.legs]
     hip, knee, foot = (places[[getattr(each, name) for each in chains]] for name in ("upper", "lower", "foot"))

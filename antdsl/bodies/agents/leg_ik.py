@@ -1,8 +1,8 @@
-"""Legs bent so that feet are where they stand: two-bone inverse kinematics of many agents, one leg after the other.
+"""Legs bent so that feet reach their footholds: two-bone inverse kinematics of many agents, one leg after the other.
 
-The knee is opened or closed by the law of cosines in the plane that it has in the pose; then the whole leg is turned about the
-hip by the shortest way to the goal. So the knee stays on its side. Joints between keep what they have; the foot and all below it
-keep their turn, so that the angle to the ground is the clip's. A goal that is out of reach is gone towards."""
+The law of cosines opens or closes the knee in its plane in the pose. Then the whole leg rotates about the hip by the shortest
+rotation to the goal, so the knee stays on its side. Joints between keep their local transforms. The foot and all below it keep
+their rotation, so the angle to the ground is the clip's. For a goal out of reach, the leg stretches towards it."""
 
 from __future__ import annotations
 
@@ -21,15 +21,15 @@ from antdsl.bodies.agents.poses import Poses
 STRAIGHT = 0.9995  # of both bones together: a leg is never quite straight, or its knee would have no side
 _FOLDED = 1.02  # times the difference of both bones
 _SUNK = 0.25  # of a leg: how far a trunk comes down in a pose so that feet that stand are in reach
-_PLANE = 1e-3  # of both bones' product: a knee whose sine is less says nothing of its plane
+_PLANE = 1e-3  # of the product of both bones: a knee with a smaller sine does not define its plane
 BENDING = {"straight": STRAIGHT, "folded": _FOLDED, "sunk": _SUNK, "plane": _PLANE}  # for those who bend legs elsewhere
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FeetOfBodies:
-    """The feet of n agents beside their bodies, in body lengths along ahead, up and aside: `place` float32[n, L, 3], the ground
-    below each foot, or where it swings; `down` bool[n, L]; `rise` float32[n] and `tilt` float32[n, 4] (x y z w): how much higher
-    than it rests and turned from how it rests the trunk is."""
+    """The feet of n agents relative to their bodies, in body lengths along ahead, up and aside. `place` float32[n, L, 3]: the
+    ground below each foot, or the position of a swinging foot; `down` bool[n, L]: on the ground. `rise` float32[n] and `tilt`
+    float32[n, 4] (x y z w): height and rotation of the trunk relative to its rest."""
 
     place: Floats
     down: NDArray[np.bool_]
@@ -37,7 +37,7 @@ class FeetOfBodies:
     tilt: Floats
 
     def less(self, stands: Floats) -> FeetOfBodies:
-        """The same with trunks moved as much as `stands` [n] says, from 0 to 1."""
+        """Return the same with the movement of trunks scaled by `stands` [n], from 0 to 1."""
         tilt = self.tilt * stands[:, None]
         tilt[:, 3] += 1 - stands
         return replace(self, rise=self.rise * stands, tilt=tilt)
@@ -45,7 +45,7 @@ class FeetOfBodies:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PlacedFeet:
-    """The feet of n agents in a frame, as caches have them, scene units: `P` float32[n, L, 3], `down` uint8[n, L], `phase` and
+    """The feet of n agents in a frame, as stored in caches, in scene units: `P` float32[n, L, 3], `down` uint8[n, L], `phase` and
     `rise` float32[n], `tilt` float32[n, 4]."""
 
     P: Floats
@@ -59,8 +59,8 @@ class PlacedFeet:
         return PlacedFeet(self.P[chosen], self.down[chosen], self.phase[chosen], self.rise[chosen], self.tilt[chosen])
 
     def beside(self, position: NDArray[np.floating], orient: NDArray[np.floating], scale: NDArray[np.floating]) -> FeetOfBodies:
-        """Beside bodies that stand at `position` [n, 3], turned by `orient` [n, 4], `scale` [n] long. Numbers that are not finite
-        count as 0."""
+        """Return the feet relative to bodies at `position` [n, 3] with rotation `orient` [n, 4] and length `scale` [n]. Numbers
+        that are not finite count as 0."""
         with np.errstate(all="ignore"):
             away = np.asarray(self.P, np.float64) - np.asarray(position, np.float64)[:, None]
             across = _rotation(orient)
@@ -106,12 +106,12 @@ class Legs:
         return self._chains
 
     def straight_axes(self) -> Floats:
-        """The axes float32[L, 3], in the definition's space, about which knees bend that are straight in a pose."""
+        """Return the axes float32[L, 3], in the definition's space, about which knees bend that are straight in a pose."""
         return np.concatenate([self._straight_axis(each) for each in self._chains], axis=1).T
 
     def kept(self, clips: Sequence[tuple[str, str] | Played], machines: Sequence[MachineClips], count: int) -> Floats:
-        """How much the feet of `count` agents stand, float32[n] from 0 to 1: less as clips play that leave feet free, by the
-        same layers and weights that their poses have."""
+        """Return how strongly the feet of `count` agents are placed, float32[n] from 0 to 1. Clips that leave feet free lower it,
+        by the layers and weights of their poses."""
         stands = np.ones(count, np.float32)
         played = [Played(*each) for each in clips]
         free = np.array([each.clip in self._free for each in played] + [False])
@@ -128,7 +128,7 @@ class Legs:
         return stands.astype(np.float32)
 
     def bent(self, poses: Poses, feet: FeetOfBodies, stands: Floats) -> Poses:
-        """Poses whose feet are where they are to be, as much as `stands` [n] says, on trunks that are moved by `rise` and `tilt`;
+        """Return poses with the feet at their targets, weighted by `stands` [n], on trunks that are moved by `rise` and `tilt`.
         `local` is None."""
         world = np.array(poses.world.transpose(2, 3, 1, 0), np.float32, order="C")
         goals = self._goals(feet)
@@ -139,7 +139,7 @@ class Legs:
         return replace(poses, world=world.transpose(3, 2, 0, 1), local=None)
 
     def _goals(self, feet: FeetOfBodies) -> list[Floats]:
-        """Where each foot joint is to be, float32[3, n], in the definition's space before the trunk is moved."""
+        """Return the goal of each foot joint, float32[3, n], in the definition's space before the trunk moves."""
         turn = _rotation(feet.tilt).astype(np.float32)
         found = []
         for k in range(len(self._chains)):
@@ -150,7 +150,7 @@ class Legs:
         return found
 
     def _sink(self, world: Floats, goals: list[Floats], down: NDArray[np.bool_], stands: Floats) -> None:
-        """Brings bodies down as far as feet that stand ask for: a clip may have a trunk higher than the stance that feet take."""
+        """Lower bodies until feet on the ground can reach it: the trunk of a clip may be too high for the stance."""
         most = np.zeros(len(stands), np.float32)
         for k, (each, goal) in enumerate(zip(self._chains, goals, strict=True)):
             hip, knee, foot = (world[:, 3, joint] for joint in (each.upper, each.lower, each.foot))
@@ -186,7 +186,7 @@ class Legs:
         world[:, 3, leg.sole] += moved[:, None, :]
 
     def _knee_axis(self, world: Floats, leg: Chain, thigh: Floats, shank: Floats, size: Floats) -> Floats:
-        """The unit axis [3, n] about which the knee opens; that of the standing pose where a leg is straight."""
+        """Return the unit axis [3, n] about which the knee opens; where a leg is straight, the axis of the standing pose."""
         axis = _cross(thigh, shank)
         rest = self._straight_axis(leg)
         straight = _length(axis) <= np.float32(_PLANE) * size
@@ -201,7 +201,7 @@ class Legs:
         return rest
 
     def _with_trunk(self, world: Floats, feet: FeetOfBodies) -> None:
-        """Moves all joints as `rise` and `tilt` say, in place."""
+        """Move all joints by `rise` and `tilt`, in place."""
         base, turn = self._base, _rotation(feet.tilt)
         half = [
             [(turn[a, 0] * base[0, s] + turn[a, 1] * base[1, s]) + turn[a, 2] * base[2, s] for s in range(3)] for a in range(3)
@@ -214,7 +214,7 @@ class Legs:
 
 
 def _rotation(quaternions: NDArray[np.floating]) -> Numbers:
-    """Matrices float64[3, 3, n] of quaternions [n, 4]; one that is nothing turns nothing."""
+    """Return matrices float64[3, 3, n] of quaternions [n, 4]; a zero quaternion gives no rotation."""
     q = normalised(np.array(np.asarray(quaternions, np.float64).T, order="C"))
     return composed(np.zeros((3, q.shape[1])), q, None, None, np.empty((3, 4, q.shape[1])))[:, :3]
 

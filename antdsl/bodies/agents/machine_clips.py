@@ -1,4 +1,4 @@
-"""What the state machines of agents play, as a tree of clip layers: one layer a machine, each over those before it."""
+"""Converts what the state machines of agents play to a tree of clip layers: one layer per machine, each over those before it."""
 
 from __future__ import annotations
 
@@ -16,10 +16,11 @@ from antdsl.bodies.agents.poses import REST, ClipTable
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MachineClips:
-    """What one machine of each of n agents plays. `clip` and `before` int[n] count what the species plays, -1 for none: the clip
-    of the state, and the one that gives way to it. `turns` and `before_turns` float32[n]: how often each has been played through;
-    `weight` and `before_weight` their shares from 0 to 1; `fade`: as much of the pose is still the one before's. Of that,
-    `earlier_fade` is still the clip's that gave way to the one before as it began to give way itself; None where none did."""
+    """The clips that one machine of each of n agents plays. `clip` and `before` int[n] index what the species plays, -1 for none:
+    the clip of the state, and the clip that fades out. `turns` and `before_turns` float32[n]: how many times each was played
+    through. `weight` and `before_weight`: their weights from 0 to 1. `fade`: the share of the pose that `before` still has.
+    `earlier_fade`: the share of that which belongs to `earlier`, a clip still fading out when `before` began to; None if there is
+    none."""
 
     clip: NDArray[np.int16]
     turns: Floats
@@ -40,7 +41,7 @@ class MachineClips:
         return MachineClips(*kept)
 
     def slots(self) -> Iterator[tuple[NDArray[np.int16], Floats, Floats]]:
-        """Clips, turns and shares of the pose float32[n], the one that gave way first before the others."""
+        """Yield clips, turns and shares of the pose float32[n], from the clip that fades out first to the current one."""
         fade = np.clip(self.fade, 0, 1)
         if self.earlier is None or self.earlier_turns is None or self.earlier_weight is None or self.earlier_fade is None:
             part = np.zeros_like(fade)
@@ -57,9 +58,9 @@ FIELDS = ("clip", "turns", "weight", "before", "before_turns", "before_weight", 
 
 
 class Played(NamedTuple):
-    """What a line of a state plays: a clip on the joints of a transform group ("": the whole rig). With `add` it lies over all
-    others by its differences from the rest pose. `left`, `right`, `up` and `down` are the clips that it gives way to as an
-    agent turns, climbs or goes down, "" for none."""
+    """A clip that a line of a state plays on the joints of a transform group ("": the whole rig). With `add` its differences from
+    the rest pose are added over all others. `left`, `right`, `up` and `down`: the clips that replace it as an agent turns, climbs
+    or descends, "" for none."""
 
     clip: str
     on: str = ""
@@ -72,7 +73,7 @@ class Played(NamedTuple):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Slot:
-    """A clip of each agent: of which machine, whether it is added, its row among the clips, times, weights and groups."""
+    """A clip of each agent: its machine, whether it is additive, its row among the clips, times, weights and groups."""
 
     machine: int
     add: bool
@@ -86,12 +87,11 @@ def machines_playing(
     table: ClipTable, clips: Sequence[tuple[str, str] | Played], machines: Sequence[MachineClips], count: int,
     lean: Floats | None = None,
 ) -> Playing:  # fmt: skip
-    """What `count` agents play. `clips`: what their states play; a name that the table does not have stands for no clip.
-    `lean` float32[n, 2]: how much each turns, to the left above 0, and climbs, from -1 to 1.
+    """Return what `count` agents play. `clips`: what their states play; a name that the table lacks means no clip. `lean`
+    float32[n, 2], from -1 to 1: how much each turns (left above 0) and climbs.
 
-    A machine's layer is the mean of its clips by fade and weight, and lies over those of the machines before it by as much as
-    they weigh together: a clip that gives way to none fades out, and what is below shows. What is added lies over all of them, in
-    the order of machines."""
+    A machine's layer is the mean of its clips by fade and weight. It covers the layers of the machines before it by its total
+    weight; where it fades out to nothing, they show. Additive clips lie over all of them, in the order of machines."""
     played = [Played(*each) for each in clips]
     groups = ["", *sorted({each.on for each in played} - {""})]
     slots = [
@@ -106,7 +106,7 @@ def machines_playing(
         chosen[:, place], times[:, place] = slot.clips, slot.times
         weights[:, place], used[:, place] = slot.weights, slot.groups
     added = sorted({slot.machine for slot in slots if slot.add})
-    # Layer 0 has those of the machines over each other; what is added has layers of its own behind the topmost.
+    # Layer 0 contains the layers of the machines over each other. Added clips have separate layers behind the topmost one.
     layer_of = tuple(2 + len(machines) + added.index(slot.machine) if slot.add else 1 + slot.machine for slot in slots)
     modes: tuple[int, ...] = (OVER, *(INTERPOLATE,) * len(machines))
     parents: tuple[int, ...] = (NO_PARENT, *(0,) * len(machines))
@@ -127,7 +127,7 @@ def machines_playing(
 def _slots(
     table: ClipTable, played: Sequence[Played], groups: Sequence[str], number: int, machine: MachineClips, lean: Floats | None
 ) -> Iterator[_Slot]:
-    """The clips that a machine plays, those that are added apart from the others."""
+    """Yield the clips that a machine plays; additive ones are separate slots."""
     names = [(each.clip, each.left, each.right, each.up, each.down) for each in played]
     numbers = np.array([[_number(table, name) for name in row] for row in (*names, ("",) * 5)], np.int32)
     seconds = np.array([[table.duration(n) if n != REST else 0.0 for n in row] for row in numbers])
@@ -150,8 +150,8 @@ def _slots(
 
 
 def _shares(numbers: NDArray[np.int32], lean: Floats | None) -> Iterator[Floats | None]:
-    """How much of each agent's clip is the clip itself, and how much the ones to the left, the right, up and down, [n, 5]: None
-    for a way that nobody goes."""
+    """Yield the share of each agent's clip itself and of its variants to the left, to the right, up and down, [n] each. A variant
+    that no agent uses gives None."""
     ones = np.ones(len(numbers), np.float32)
     if lean is None or not (numbers[:, 1:] != REST).any():
         yield ones

@@ -1,4 +1,4 @@
-"""An agent definition in other axes and another unit of length: the same body, told otherwise."""
+"""An agent definition in other axes and another unit of length: the same body in other coordinates."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ Floats = NDArray[np.float64]
 
 
 def in_axes(body: Definition, front: Axis, up: Axis, unit: float) -> Definition:
-    """The definition with other axes along which it looks and stands (both along axes of space), and `unit` millimetres in one
-    of its units of length. All of its own space is changed alike, so that joints have the same names, and posed points the same
-    places in a scene to the last digits of float32."""
+    """Return the definition with other axes of its front and up (both along coordinate axes), and `unit` millimetres per unit of
+    length. All of its local space is transformed alike. So joints have the same names, and posed points the same positions in a
+    scene up to the last digits of float32."""
     turn = _frame(front, up) @ _frame(body.front, body.up).T
     size = body.unit / unit
     if size == 1.0 and (turn == np.eye(3)).all():
@@ -71,7 +71,7 @@ def _shape(shape: Shape, change: Floats, back: Floats) -> Shape:
 
 
 def _layer(layer: Layer, which: Floats) -> Layer:
-    """Scales of bounds along the axes that they are along now."""
+    """Return a layer with bounds scales permuted to the new axes."""
 
     def turned(scale: tuple[float, float, float]) -> tuple[float, float, float]:
         x, y, z = (which @ np.array(scale)).tolist()

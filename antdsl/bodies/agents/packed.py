@@ -1,7 +1,7 @@
-"""An agent definition as a few plain arrays, and back: how a cache keeps one.
+"""An agent definition as a few plain arrays, and back: the form that caches store.
 
-`text` uint8: a JSON document of all names, numbers of numbers and bindings; an array of the definition is `[kind, first, shape]`
-there, and lies in `f4`, `f8`, `i4` or `i8`, one after the other. Metadata is left out: nothing draws it."""
+`text` uint8: a JSON document of all names, counts and bindings. In it, an array of the definition is `[kind, first, shape]`: a
+range of `f4`, `f8`, `i4` or `i8`. Metadata is left out: drawing does not need it."""
 
 from __future__ import annotations
 
@@ -97,7 +97,7 @@ def packed(body: Definition) -> Arrays:
 
 @lru_cache(maxsize=16)
 def digest(body: Definition) -> str:
-    """A hash of all that `packed` keeps of a definition, which is not changed once it is made."""
+    """Return a hash of all that `packed` stores of a definition. The definition must not change after it is built."""
     made = hashlib.blake2b(digest_size=16)
     for name, array in packed(body).items():
         made.update(f"{name} {array.size} ".encode())
@@ -125,7 +125,7 @@ def _read(arrays: Mapping[str, NDArray[Any]]) -> Definition:
         raise ValueError
 
     def get(place: Any, *wanted: int | None, kind: str = "f4") -> NDArray[Any]:
-        """An array of a kind and of as many rows as wanted, None being any."""
+        """Return an array of the given kind and numbers of rows; None allows any number."""
         own, first, shape = place
         sides = tuple(_whole(side) for side in shape)
         if own != kind or len(sides) != len(wanted) or any(w is not None and w != s for s, w in zip(sides, wanted, strict=True)):
@@ -217,7 +217,7 @@ def _gait(name: Any, speed: Any, stride: Any, duty: Any, lift: Any, phases: Any)
 
 
 def _bounds(body: Definition) -> None:
-    """ValueError where numbers of a definition lead out of it, or are none."""
+    """Raise ValueError if numbers of a definition are out of range or not finite."""
     rig, count = body.rig, len(body.rig.names)
     fits = [
         0 < count <= limits.JOINTS,

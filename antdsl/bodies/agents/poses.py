@@ -37,9 +37,9 @@ class Pose:
 class Poses:
     """Transforms and channel values of n agents, joints and channels in the order of the rig.
 
-    `world` and `local` float32[n, J, 3, 4]: the upper three rows of the matrix of each joint, in the space of its agent and in
-    that of its parent; the fourth is 0 0 0 1. `channels` float32[n, C]. The arrays are views of memory in which a component of a
-    joint lies agent by agent ([3, 4, J, n]), which is how they are worked on; `numpy.ascontiguousarray` puts agents apart."""
+    `world` and `local` float32[n, J, 3, 4]: the upper three rows of each joint's matrix, in agent space and in parent space; the
+    fourth is 0 0 0 1. `channels` float32[n, C]. The arrays are views of [3, 4, J, n] memory, where each component of a joint is
+    contiguous over agents; computations use that layout. `numpy.ascontiguousarray` makes each agent contiguous."""
 
     world: Floats
     local: Floats | None
@@ -47,10 +47,10 @@ class Poses:
 
 
 def sampled(table: ClipTable, clips: NDArray[np.integer], times: NDArray[np.floating]) -> Pose:
-    """The pose of each of n agents in a clip of its own, int[n], at a time of its own in seconds, [n].
+    """Return the pose of each of n agents in its own clip, int[n], at its own time in seconds, [n].
 
-    A clip that loops begins again when it is over, before time 0 too; any other holds its first and its last sample. Clip -1 is
-    the rest pose. A time that is not finite is 0. Raises IndexError for the number of no clip."""
+    A clip that loops is periodic, before time 0 too; any other clip holds its first and its last sample. Clip -1 is the rest
+    pose. A time that is not finite counts as 0. Raises IndexError for a clip number out of range."""
     row, after, share = _places(table, clips, times)
     if not len(table.order) + len(table.rig.channels):
         return _pose(table, np.empty((0, len(row)), np.float32))
@@ -67,7 +67,7 @@ def sampled(table: ClipTable, clips: NDArray[np.integer], times: NDArray[np.floa
 
 
 def rest_pose(table: ClipTable, count: int) -> Pose:
-    """The rest pose for so many agents, as arrays that are not to be written to."""
+    """Return the rest pose for `count` agents, as read-only arrays."""
     pose = _pose(table, np.broadcast_to(table.samples[0][:, None], (table.samples.shape[1], 1)).copy())
     normalised(pose.rotation)
     wide = [None if a is None else np.broadcast_to(a, (*a.shape[:-1], count)) for a in (pose.scale, pose.shear)]
@@ -86,16 +86,16 @@ def transforms(table: ClipTable, pose: Pose) -> tuple[Floats, Floats]:
 
 
 def world_transforms(table: ClipTable, local: Floats) -> Floats:
-    """World transforms float32[n, J, 3, 4] that follow from local ones, joints in the order of the rig: for transforms that are
-    not a clip's, such as those of legs that were bent to reach the ground, or of a head that looks at something."""
+    """Return world transforms float32[n, J, 3, 4] of local ones, joints in the order of the rig. For transforms that are not a
+    clip's, such as those of legs after inverse kinematics or of a head that looks at something."""
     found = np.empty((3, 4, local.shape[1], len(local)), np.float32)
     found[:, :, table.order] = _placed(table, local.transpose(2, 3, 1, 0)[:, :, table.order])
     return found.transpose(3, 2, 0, 1)
 
 
 def local_transforms(table: ClipTable, world: Floats) -> Floats:
-    """Local transforms float32[n, J, 3, 4] that world ones stand for, joints in the order of the rig: the inverse of each
-    parent's times the joint's own. What a parent that is scaled to nothing had for its children cannot be told."""
+    """Return the local transforms float32[n, J, 3, 4] of world transforms, joints in the order of the rig. They are each parent's
+    inverse times the joint's own transform. A parent with scale 0 loses the local transforms of its children."""
     placed = world.transpose(2, 3, 1, 0)
     found = np.array(placed, np.float32)
     children = np.flatnonzero(np.asarray(table.rig.parents) >= 0)
@@ -109,7 +109,8 @@ def local_transforms(table: ClipTable, world: Floats) -> Floats:
 
 
 def square(matrices: Floats) -> Floats:
-    """Matrices float32[…, 4, 4] of such of three rows, agents apart in memory: for column vectors, as everywhere here."""
+    """Return matrices float32[…, 4, 4] from matrices of three rows, each agent contiguous: for column vectors, as everywhere
+    here."""
     found = np.zeros((*matrices.shape[:-2], 4, 4), np.float32)
     found[..., :3, :] = matrices
     found[..., 3, 3] = 1
@@ -117,8 +118,8 @@ def square(matrices: Floats) -> Floats:
 
 
 def _placed(table: ClipTable, local: Floats) -> Floats:
-    """World matrices [3, 4, J, n] of local ones, joints in the order of the table: depth by depth of the rig, each joint's is
-    its parent's times its own."""
+    """Return world matrices [3, 4, J, n] of local ones, joints in the order of the table. Computed by depth of the rig: each
+    joint's is its parent's times its own."""
     world = np.empty(local.shape, np.float32)
     for begin, end, parents in table.levels:
         if not len(parents):
@@ -131,7 +132,7 @@ def _placed(table: ClipTable, local: Floats) -> Floats:
 def _places(
     table: ClipTable, clips: NDArray[np.integer], times: NDArray[np.floating]
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], Floats]:
-    """The rows of the samples before and after each agent's time, and how far it is from the one to the other."""
+    """Return the rows of the samples before and after each agent's time, and the fraction between them."""
     clip = np.asarray(clips, np.int64) + 1
     if ((clip < 0) | (clip >= len(table.counts))).any():
         raise IndexError(f"clips are numbered from 0 to {len(table.names) - 1}, and -1 for none")
@@ -162,11 +163,12 @@ def _pose(table: ClipTable, rows: Floats) -> Pose:
 class ClipTable:
     """Samples of all clips, for J joints and C channels of one rig.
 
-    `names`: of clips, whose numbers are their places. `samples` float32[R, W]: row 0 is the rest pose with the defaults of
-    channels, and a clip has the rows from `first[clip + 1]` on; a row is translations (3 J, component by component), rotations
-    (4 J), scales (3 J, if `scaled`), shears (3 J, if `sheared`) and channels (C), where a clip does not say otherwise those of
-    the rest. Joints stand by their depth in the rig's tree: `order` int32[J] gives the rig's number of each, `levels` the joints
-    of each depth as (begin, end, places of their parents). Rotations follow each other by the shorter way within a clip."""
+    `names`: the clips; the index of a clip is its number. `samples` float32[R, W]: row 0 is the rest pose with the default values
+    of channels; the rows of a clip begin at `first[clip + 1]`. A row contains translations (3 J, component by component),
+    rotations (4 J), scales (3 J, if `scaled`), shears (3 J, if `sheared`) and channels (C). Values that a clip does not set are
+    those of the rest pose. Joints are ordered by depth in the rig's tree: `order` int32[J] is the rig's number of each, `levels`
+    the joints of each depth as (begin, end, indices of their parents). Successive rotations within a clip take the shorter
+    path."""
 
     rig: Rig
     names: tuple[str, ...]
@@ -203,8 +205,8 @@ class ClipTable:
 
 
 def clip_table(definition: Definition) -> ClipTable:
-    """Lay out the clips of a definition. Joints and channels of clips that the rig does not have are left out: clips are shared
-    between rigs. Raises ValueError where arrays of a clip do not fit each other, or where the rig's tree has a circle."""
+    """Build the table of a definition's clips. Joints and channels of clips that the rig does not have are left out: clips are
+    shared between rigs. Raises ValueError if arrays of a clip do not match each other, or if the rig's tree has a cycle."""
     rig = definition.rig
     order, levels = _by_depth(rig)
     clips = tuple(definition.clips.values())
@@ -249,7 +251,7 @@ def _row(rig: Rig, rest: list[NDArray[np.float64]], order: NDArray[np.intp]) -> 
 
 
 def _rows(clip: Clip, rig: Rig, rest: list[NDArray[np.float64]], order: NDArray[np.intp], scaled: bool, sheared: bool) -> Floats:
-    """The rows of a clip: its samples where it has some, the rest where not."""
+    """Return the rows of a clip: its samples where it has some, else the rest pose."""
     count = clip.samples
     if count < 1 or not clip.rate > 0:
         raise ValueError(f"clip `{clip.name}` has no samples, or a rate that is not above 0")
@@ -278,8 +280,9 @@ def _rows(clip: Clip, rig: Rig, rest: list[NDArray[np.float64]], order: NDArray[
 
 
 def _shorter(rotation: NDArray[np.float64], rest: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Quaternions [4, F, J] as [F, 4, J] with the sign of each sample by which it is near the one before it, the first near the
-    rest [4, J]: then interpolation goes the shorter way without asking, and clips seldom have to be turned to each other."""
+    """Return quaternions [4, F, J] as [F, 4, J] with continuous signs. Each sample has the sign nearest to the sample before it,
+    the first the sign nearest to the rest [4, J]. So interpolation takes the shorter path without a test, and clips seldom need a
+    change of sign."""
     before = np.concatenate([rest[:, None], rotation[:, :-1]], 1)
     near = before * rotation
     dots = ((near[0] + near[1]) + near[2]) + near[3]

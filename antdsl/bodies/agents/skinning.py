@@ -1,17 +1,16 @@
 """Skinning: points and normals of n agents that follow several joints each, by matrices or by dual quaternions.
 
-A joint takes a point from where it was captured to where the joint is now by one matrix, world transform times `Capture.inverse`.
+One matrix per joint takes a point from capture to the joint's current transform: world transform times `Capture.inverse`.
 
 Linear: the mean of these matrices by the point's weights; normals by the mean of their inverses transposed.
 
 Dual quaternions (L. Kavan, S. Collins, J. Zara and C. O'Sullivan, Skinning with Dual Quaternions, I3D 2007): the mean of rigid
-movements, each on the side of the one that the point follows most, so that a joint that twists does not lose its volume. A dual
-quaternion holds a rotation and a translation alone. So each matrix is taken apart, M = R S, R the nearest rotation (polar
-decomposition) and S what is left: scale, shear and mirroring. The point first goes by the mean of the S, linearly, in the space
-where it was captured, and then by the blended R with the translations: two phases, as in L. Kavan et al., Geometric Skinning with
-Approximate Dual Quaternion Blending, ACM TOG 27, 2008, and in USD. One joint alone does the same to a point as with linear
-skinning, whatever it holds; between joints of different scale or shear S is a linear mean, only turns do not collapse.
-"""
+transforms, each with its sign aligned to that of the point's strongest joint. So a twisted joint does not lose its volume. A dual
+quaternion holds only a rotation and a translation. So each matrix is decomposed, M = R S: R is the nearest rotation (polar
+decomposition), S the remaining scale, shear and mirroring. The point is first transformed by the linear mean of the S, in capture
+space, and then by the blended R with the translations. These two phases are as in L. Kavan et al., Geometric Skinning with
+Approximate Dual Quaternion Blending, ACM TOG 27, 2008, and in USD. For a point that follows one joint the result equals linear
+skinning. Between joints of different scale or shear S is a linear mean; only rotations do not collapse."""
 
 from __future__ import annotations
 
@@ -27,8 +26,8 @@ from antdsl.bodies.agents.poses import Poses
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Deformed:
-    """A shape for n agents, or for all alike where n is 1: `points` float32[n, P, 3]; `normals` the same, unit, or None;
-    `attributes` float32[n, P, …]: others of points that a blend shape names."""
+    """A shape for n agents, or shared by all if n is 1. `points` float32[n, P, 3]; `normals` the same shape, unit, or None;
+    `attributes` float32[n, P, …]: other point attributes that a blend shape names."""
 
     points: Floats
     normals: Floats | None
@@ -70,8 +69,8 @@ def dual_quaternion(given: Deformed, shape: Shape, definition: Definition, poses
 
 
 def dual_quaternion_blend(given: Deformed, shape: Shape, definition: Definition, poses: Poses) -> Deformed:
-    """Between linear (0) and dual quaternion skinning (1) by the point attribute that `Shape.dual_quaternion_blend` names
-    (deformDualQuaternionBlendAttrib). Raises as `linear`, and ValueError where the shape has no such attribute."""
+    """Blend between linear (0) and dual quaternion skinning (1) by the point attribute that `Shape.dual_quaternion_blend` names
+    (deformDualQuaternionBlendAttrib). Raises as `linear`, and ValueError if the shape lacks the attribute."""
     name = shape.dual_quaternion_blend
     if name not in shape.attributes:
         raise ValueError(f"shape `{shape.name}` has no point attribute `{name}` (deformDualQuaternionBlendAttrib) to blend by")
@@ -86,7 +85,8 @@ def dual_quaternion_blend(given: Deformed, shape: Shape, definition: Definition,
 
 
 def apply(matrices: Numbers, points: Floats) -> Floats:
-    """Points [n, P, 3] by matrices [3, 3 or 4, P, n], as [3, P, n]; with matrices of three columns they are directions."""
+    """Return points [n, P, 3] transformed by matrices [3, 3 or 4, P, n], as [3, P, n]; matrices of three columns transform
+    directions."""
     x, y, z = _components(points)
     found = np.stack([(m[0] * x + m[1] * y) + m[2] * z for m in matrices])
     if matrices.shape[1] == 4:
@@ -95,12 +95,12 @@ def apply(matrices: Numbers, points: Floats) -> Floats:
 
 
 def turned(normals: Floats, matrices: Numbers) -> Floats:
-    """Normals [n, P, 3] by matrices [3, 3, P, n], unit again."""
+    """Return normals [n, P, 3] transformed by matrices [3, 3, P, n], normalised."""
     return unit(apply(matrices, normals)).transpose(2, 1, 0)
 
 
 def unit(vectors: Floats) -> Floats:
-    """Vectors [3, …] made unit in place; those of length 0 stay."""
+    """Normalise vectors [3, …] in place; those of length 0 stay."""
     x, y, z = vectors
     length = np.sqrt((x * x + y * y) + z * z)
     length[length == 0] = 1
@@ -122,7 +122,8 @@ def turn_points(points: Floats, rotation: Floats) -> None:
 
 
 def _captured(shape: Shape, definition: Definition, poses: Poses) -> tuple[NDArray[np.intp], Floats, Floats]:
-    """Joints [P, K] of the capture, their weights [P, K], and what each of its joints does, float32[3, 4, joints, n]."""
+    """Return the joints [P, K] of the capture, their weights [P, K], and the transform of each captured joint, float32[3, 4,
+    joints, n]."""
     capture = shape.capture
     if capture is None:
         raise ValueError(f"shape `{shape.name}` says for none of its points which joints they follow (capture)")
@@ -144,7 +145,7 @@ def _components(points: Floats) -> tuple[Floats, Floats, Floats]:
 
 
 def _mean(values: Floats, joints: NDArray[np.intp], weights: Floats) -> Floats:
-    """The mean [P, n] of numbers of joints [joints, n] by the weights of points."""
+    """Return the mean [P, n] of joint values [joints, n] by the weights of points."""
     found = values.take(joints[:, 0], axis=0)
     found *= weights[:, 0, None]
     for k in range(1, joints.shape[1]):
@@ -160,7 +161,7 @@ def _means(matrices: Floats, joints: NDArray[np.intp], weights: Floats) -> Float
 
 
 def _rest_of(rotation: NDArray[np.float64], matrices: Floats) -> Floats:
-    """What is left of matrices M when their rotation R is taken out: S = R⁻¹ M, float32[3, 3, joints, n]."""
+    """Return the remainder of matrices M without their rotation R: S = R⁻¹ M, float32[3, 3, joints, n]."""
     m = matrices[:, :3].astype(np.float64)
     found = np.empty(m.shape, np.float32)
     for r in range(3):

@@ -1,8 +1,8 @@
 """Local transforms as a translation, a rotation, a shear and a scale, and as matrices for column vectors.
 
 A point goes through the scale first, then the shear, then the rotation, then the translation: `T @ R @ H @ S`. `H` adds to x
-`shear1` times y and `shear2` times z, and to y `shear3` times z. Every matrix that flattens nothing is of that form in one way
-(Thomas, Decomposing a Matrix into Simple Transformations, in Graphics Gems II, 1991)."""
+`shear1` times y and `shear2` times z, and to y `shear3` times z. Every invertible matrix has exactly one such form (Thomas,
+Decomposing a Matrix into Simple Transformations, in Graphics Gems II, 1991)."""
 
 from __future__ import annotations
 
@@ -23,10 +23,10 @@ def rotation_matrix(quaternion: Floats) -> Floats:
 
 
 def rotation_of(matrix: Floats) -> Floats:
-    """Unit quaternions float64[..., 4] of rotations float64[..., 3, 3]; w is not below 0.
+    """Return unit quaternions float64[..., 4] of rotations float64[..., 3, 3]; w is not negative.
 
-    The largest of the four components is found first, so that no division is by what is nearly 0 (Shepperd, Quaternion from
-    Rotation Matrix, 1978)."""
+    The largest of the four components is computed first, so that no divisor is near 0 (Shepperd, Quaternion from Rotation Matrix,
+    1978)."""
     m = np.moveaxis(matrix.reshape(-1, 3, 3), 0, -1)
     four = np.array(
         [m[0, 0] - m[1, 1] - m[2, 2], m[1, 1] - m[0, 0] - m[2, 2], m[2, 2] - m[0, 0] - m[1, 1], m[0, 0] + m[1, 1] + m[2, 2]]
@@ -45,7 +45,7 @@ def rotation_of(matrix: Floats) -> Floats:
 
 
 def unit_quaternion(quaternion: Floats) -> Floats:
-    """Quaternions float64[..., 4] of length 1; one without a length becomes no rotation."""
+    """Return quaternions float64[..., 4] of length 1; a zero quaternion becomes no rotation."""
     length = np.sqrt((quaternion * quaternion).sum(axis=-1, keepdims=True))
     known = np.isfinite(length) & (length > 1e-30)
     return np.where(known, quaternion / np.where(known, length, 1.0), np.array([0.0, 0.0, 0.0, 1.0]))
@@ -57,8 +57,8 @@ def product(a: Floats, b: Floats) -> Floats:
 
 
 def rotation_of_angles(angles: Floats, order: str) -> Floats:
-    """Unit quaternions float64[..., 4] of radians float64[..., 3] about x, y and z, applied in `order`: "xyz" turns about x
-    first. What follows one another along the first axis keeps to one sign."""
+    """Return unit quaternions float64[..., 4] of radians float64[..., 3] about x, y and z, applied in `order`: "xyz" rotates
+    about x first. Signs are continuous along the first axis."""
     found = np.broadcast_to(np.array([0.0, 0.0, 0.0, 1.0]), (*angles.shape[:-1], 4))
     for letter in order:
         axis = "xyz".index(letter)
@@ -70,7 +70,7 @@ def rotation_of_angles(angles: Floats, order: str) -> Floats:
 
 
 def angles_of_rotation(quaternion: Floats) -> Floats:
-    """Radians float64[..., 3] about x, then y, then z. Where y is a quarter turn, z is 0."""
+    """Return radians float64[..., 3] about x, then y, then z. Where y is 90 degrees, z is 0."""
     m = rotation_matrix(quaternion)
     level = np.sqrt(m[..., 0, 0] ** 2 + m[..., 1, 0] ** 2)
     locked = level < 1e-7
@@ -80,7 +80,7 @@ def angles_of_rotation(quaternion: Floats) -> Floats:
 
 
 def one_sign(quaternion: Floats) -> Floats:
-    """Quaternions float64[F, ..., 4], each of the two signs that is nearer to the one before it."""
+    """Return quaternions float64[F, ..., 4] with continuous signs: each has the sign that is nearer to the one before it."""
     if quaternion.ndim < 2 or len(quaternion) < 2:
         return quaternion
     turned = (quaternion[1:] * quaternion[:-1]).sum(axis=-1) < 0
@@ -89,8 +89,8 @@ def one_sign(quaternion: Floats) -> Floats:
 
 
 def between_rotations(a: Floats, b: Floats, share: Floats) -> Floats:
-    """The rotation at `share` float64[...] of the shortest way from `a` to `b`, float64[..., 4], at an even rate (Shoemake,
-    Animating Rotation with Quaternion Curves, 1985)."""
+    """Return the rotation at `share` float64[...] of the shortest path from `a` to `b`, float64[..., 4], at constant speed
+    (Shoemake, Animating Rotation with Quaternion Curves, 1985)."""
     b = np.where((a * b).sum(axis=-1, keepdims=True) < 0, -b, b)
     apart, along = np.sqrt(((a - b) ** 2).sum(axis=-1)), np.sqrt(((a + b) ** 2).sum(axis=-1))
     angle = 2 * wide_atan2(apart, along)
@@ -114,8 +114,8 @@ def matrix_of(translation: Floats, rotation: Floats, scale: Floats, shear: Float
 
 
 def parts_of(matrix: Floats) -> tuple[Floats, Floats, Floats, Floats]:
-    """Translations, unit quaternions, scales and shears of matrices float64[..., 4, 4], as `matrix_of` takes them. The scale of z
-    is below 0 where they mirror; where they flatten, some turn is chosen."""
+    """Return translations, unit quaternions, scales and shears of matrices float64[..., 4, 4], the arguments of `matrix_of`. The
+    scale of z is negative for mirroring matrices; for singular ones the rotation is arbitrary."""
     x, y, z = (matrix[..., :3, column] for column in range(3))
     wide = _lengths(x)
     first = _divided(x, wide, (1.0, 0.0, 0.0))
@@ -147,8 +147,8 @@ def _divided(vectors: Floats, lengths: Floats, otherwise: tuple[float, float, fl
 
 
 def followed_by(outer: Floats, inner: Floats) -> Floats:
-    """The matrix float64[..., 4, 4] of going through `inner` and then through `outer`. Sums are written out, so that the
-    processor changes no bit."""
+    """Return the matrix float64[..., 4, 4] of `inner` followed by `outer`. Sums are explicit, so that every processor gives the
+    same bits."""
     a, b = outer[..., :, :, None], inner[..., None, :, :]
     found: Floats = ((a[..., 0, :] * b[..., 0, :] + a[..., 1, :] * b[..., 1, :]) + a[..., 2, :] * b[..., 2, :]) + a[
         ..., 3, :

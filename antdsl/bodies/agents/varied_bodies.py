@@ -1,4 +1,4 @@
-"""Bodies that differ by each agent's id: their parts as large, and their materials of the colours, that a definition allows."""
+"""Bodies that differ by each agent's id: scales of parts and colours of materials, in the ranges of a definition."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from antdsl.numerics.randomness import uniform
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Draws:
-    """By what the bodies of n agents differ: their ids int64[n], the scene's seed and the species."""
+    """The sources of random differences between the bodies of n agents: their ids int64[n], the scene's seed and the species."""
 
     ids: NDArray[np.int64]
     seed: int = 0
@@ -27,15 +27,15 @@ class Draws:
         return Draws(self.ids[chosen], self.seed, self.species)
 
     def of(self, what: str) -> Floats:
-        """A number from 0 to 1 for each, the same for its whole life: float32[n]."""
+        """Return a number from 0 to 1 per agent, constant for its whole life: float32[n]."""
         return uniform(self.seed, 0, self.species, f"variation {what}", 0, self.ids)
 
 
 def with_scales(
     table: ClipTable, poses: Poses, variation: Variation, groups: Mapping[str, TransformGroup], draws: Draws | None
 ) -> Poses:
-    """Poses in which each transform group is as large as its agent has it: its uppermost joints, with all that hangs on them, are
-    scaled about their own places, by their weights' shares."""
+    """Return poses with each transform group scaled to its agent's size. The group's uppermost joints, with their descendants,
+    are scaled about their own positions, in proportion to their weights."""
     if draws is None or not variation.scales or not len(draws.ids):
         return poses
     world = np.array(poses.world, np.float32)
@@ -52,13 +52,13 @@ def with_scales(
 
 
 def size_of(variation: Variation, group: str, draws: Draws) -> Floats:
-    """How large a transform group of each agent is, float32[n]."""
+    """Return the scale of a transform group for each agent, float32[n]."""
     low, high = variation.scales[group]
     return np.float32(low) + np.float32(high - low) * draws.of(f"scale {group}")
 
 
 def scaled_joints(rig: Rig, group: TransformGroup) -> Iterator[tuple[int, float]]:
-    """The uppermost joints of a transform group, about which it is scaled, with their weights."""
+    """Yield the uppermost joints of a transform group, the pivots of its scaling, with their weights."""
     members = {rig.joint(member): weight for member, weight in group.members}
     for joint, weight in members.items():
         if not any(joint in rig.below(other) for other in members if other != joint):  # else it is scaled with that
@@ -66,13 +66,13 @@ def scaled_joints(rig: Rig, group: TransformGroup) -> Iterator[tuple[int, float]
 
 
 def place_of(variation: Variation, material: str, draws: Draws) -> Floats:
-    """Where on the way through its colours, counted from 0, a material of each agent lies, float32[n]."""
+    """Return the position of each agent's material on the path through its colours, counted from 0, float32[n]."""
     return draws.of(f"material {material}") * np.float32(len(variation.materials[material]) - 1)
 
 
 def colours_of(variation: Variation, draws: Draws | None, material: NDArray[np.str_], own: Floats) -> Floats:
-    """Linear colours float32[n, v, 3] of vertices whose `material` [v] may be another for each agent, or [1, v, 3] where none is.
-    `own` [v, 3]: as the definition has them."""
+    """Return the linear colours float32[n, v, 3] of vertices with materials `material` [v] that may differ between agents; [1, v,
+    3] if none differ. `own` [v, 3]: the colours of the definition."""
     varied = [name for name in variation.materials if (material == name).any()]
     if draws is None or not varied:
         return own[None]

@@ -1,4 +1,5 @@
-"""Values of a JSON tree by kind: each asks for what its place wants, or complains with the place and what to write instead."""
+"""Typed values of a JSON tree: each method returns a value of the expected kind, or reports a finding with its place and a
+correction."""
 
 from __future__ import annotations
 
@@ -32,7 +33,7 @@ def kind_of(node: Node) -> str:
 
 @dataclass(slots=True)
 class Values:
-    """The values of one text, and what is wrong with them."""
+    """The values of one text, and the findings about them."""
 
     source: Source
     report: Report = field(default_factory=Report)
@@ -41,7 +42,7 @@ class Values:
         return Span(self.source, node.start, node.end)
 
     def head(self, node: Node) -> Span:
-        """The first sign of a value: the place of what is told about the whole of it."""
+        """Return the span of the first character of a value, for findings about the whole value."""
         return Span(self.source, node.start, node.start + 1)
 
     def key(self, node: Node, key: str) -> Span:
@@ -54,8 +55,8 @@ class Values:
     def object(
         self, node: Node, what: str, known: Iterable[str], needed: dict[str, str] | None = None, *, strict: bool = True
     ) -> dict[str, Node] | None:
-        """The entries of an object. `needed`: keys that must be there, with what to write. A key that is not known is told of: as
-        an error, or with `strict` False, where others may extend the form, as a warning."""
+        """Return the entries of an object. `needed`: required keys, with an example of what to write. An unknown key is an error,
+        or a warning with `strict` False, where others may extend the form."""
         if not isinstance(node.value, dict):
             self.wrong(node, f"{what}, which is an object `{{ … }}`,", None)
             return None
@@ -75,7 +76,7 @@ class Values:
         return node.value
 
     def items(self, node: Node, what: str) -> list[Node]:
-        """The nodes of a list; no nodes, and a complaint, for anything else."""
+        """Return the nodes of a list; for anything else report a finding and return none."""
         if not isinstance(node.value, list):
             self.wrong(node, f"a list of {what}", "write `[ … ]`")
             return []
@@ -128,7 +129,7 @@ class Values:
     def numbers(
         self, node: Node | None, what: str, count: int | None = None, least: float = -limits.LARGEST, most: float = limits.LARGEST
     ) -> NDArray[np.float64] | None:
-        """An array of numbers, `count` of them where that is given."""
+        """Return an array of numbers; exactly `count` of them unless that is None."""
         if node is None:
             return None
         if not node.numbers:
@@ -161,7 +162,7 @@ class Values:
         return isinstance(node.value, int | float) and not isinstance(node.value, bool)
 
     def version(self, entries: dict[str, Node], key: str, wanted: int) -> bool:
-        """Whether a form's version is the one that is read."""
+        """Return whether a form's version is the supported one."""
         node = entries.get(key)
         if node is None:
             return False
@@ -175,7 +176,7 @@ class Values:
         self.report.error("duplicate-name", words, self.span(node), "keep one of them", labels=(Label(first, "here first"),))
 
     def unknown(self, place: Span, what: str, name: str, known: Iterable[str], *, warn: bool = False) -> None:
-        """Tells that a name stands for nothing, with the one that may have been meant."""
+        """Report an unknown name, with a suggestion of the name that may have been meant."""
         near = nearest_name(name, known)
         say = self.report.warning if warn else self.report.error
         say("unknown-name", f"there is no {what} `{name[:60]}`", place, f'write `"{near}"`' if near else None)

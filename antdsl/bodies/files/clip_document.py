@@ -22,8 +22,8 @@ _KNOWN = ("antdsl_clip", "name", "rate", "rotation_order", "angles", "loop", "st
 
 
 def read_clip(values: Values, node: Node, rig: Rig | None = None) -> Clip | None:
-    """A clip. Parts of a joint that the text leaves out are those of the rig's rest pose (without a rig: of no transform); joints
-    that the rig does not have are told of and left out."""
+    """Read a clip. Parts of a joint that the text leaves out are those of the rig's rest pose (without a rig: of the identity
+    transform). Joints that the rig does not have are reported and left out."""
     needed = {"antdsl_clip": "1", "name": '"…"', "rate": "24", "channels": "{}"}
     entries = values.object(node, "a clip", _KNOWN, needed)
     if entries is None or any(key not in entries for key in needed):
@@ -67,7 +67,7 @@ def read_clip(values: Values, node: Node, rig: Rig | None = None) -> Clip | None
 
 
 def _channels(values: Values, node: Node) -> dict[str, tuple[Node, Floats]]:
-    """Samples of each channel: as many for all, or one for a channel that stays as it is."""
+    """Return the samples of each channel: the same number for all, or one for a constant channel."""
     if not isinstance(node.value, dict) or not node.value:
         values.wrong(node, "an object of channels, each with a list of its samples,", 'write `{"JOINT:tx": [0, 1]}`')
         return {}
@@ -97,7 +97,7 @@ def _channels(values: Values, node: Node) -> dict[str, tuple[Node, Floats]]:
 def _joints(
     values: Values, node: Node, given: Mapping[str, tuple[Node, Floats]], rig: Rig | None
 ) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """The joints that the channels move, and the channels that are numbers of the rig, in the order of the text."""
+    """Return the joints that the channels move, and the channels that are numbers of the rig, in the order of the text."""
     joints: dict[str, None] = {}
     numbers: list[str] = []
     own = None if rig is None else {each.name for each in rig.channels}
@@ -142,7 +142,8 @@ def read_marks(values: Values, node: Node | None, seconds: float) -> dict[str, f
 
 
 def _turning(values: Values, entries: Mapping[str, Node], wanted: bool) -> tuple[str, float] | None:
-    """The order in which the axes are turned about, and radians in one unit of the angles; stated where there are any."""
+    """Return the rotation order of the axes, and the radians in one unit of the angles; the text must state both if there are
+    angles."""
     order, angles = entries.get("rotation_order"), entries.get("angles")
     if wanted and (order is None or angles is None):
         missing = '"rotation_order": "xyz"' if order is None else '"angles": "degrees"'
@@ -168,7 +169,7 @@ def _rest_parts(joints: tuple[str, ...], rig: Rig | None) -> Floats:
 
 
 def write_clip(clip: Clip) -> str:
-    """A clip as text: rotations in degrees about x, then y, then z, without jumps of a whole turn."""
+    """Write a clip as text: rotations in degrees about x, then y, then z, unwrapped so that they have no jumps of 360 degrees."""
     channels: dict[str, Any] = {}
     angles = np.unwrap(angles_of_rotation(clip.rotation.astype(np.float64)), axis=0) * (180 / np.pi)
     columns = [clip.translation, angles, clip.scale, *(() if clip.shear is None else (clip.shear,))]
@@ -186,6 +187,6 @@ def write_clip(clip: Clip) -> str:
 
 
 def _samples(column: NDArray[Any]) -> Any:
-    """A single number for a channel that stays as it is. float32 is written with as many digits as it has."""
+    """Return a single number for a constant channel. float32 values are written with only the digits that they have."""
     short = [float(f"{value:.9g}") for value in column.tolist()]
     return short[0] if len(set(short)) == 1 and len(short) > 1 else short

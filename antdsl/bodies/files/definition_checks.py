@@ -1,5 +1,5 @@
-"""What can only be told of a definition as a whole: that what its parts name is there, that deformers have what they need, and
-how long it is."""
+"""Checks that need the complete definition: that named parts exist, that deformers have what they need, and how long the body
+is."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from antdsl.source import Span
 
 
 def whole(parts: Parts, report: Report) -> Definition | None:
-    """The definition with its length measured where none is given; None where one of the complaints is an error."""
+    """Return the definition, with its length measured if none is given; None if one of the findings is an error."""
     found = parts.definition
     sound = report.ok  # else a shape may be missing only because its file could not be read
     _sizes(found, parts.whole, report)

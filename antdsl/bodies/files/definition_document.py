@@ -1,5 +1,5 @@
-"""A definition file: JSON of our own that names the parts of an agent definition, each inside the file in its documented form or
-as `{"file": "rig.json"}`, a path below the file's folder or a granted root."""
+"""A definition file: our own JSON that names the parts of an agent definition. Each part is inline in its documented form, or
+`{"file": "rig.json"}`, a path below the file's folder or a granted root."""
 
 from __future__ import annotations
 
@@ -36,13 +36,13 @@ Axis = tuple[float, float, float]
 
 @dataclass(slots=True)
 class Place:
-    """A part's own text: the values it was read by and the node it was read from."""
+    """The text of one part: the values that read it and the node it was read from."""
 
     values: Values
     node: Node
 
     def of(self, *texts: str) -> Span:
-        """Where the first of some texts stands in the part; the part's own place where none does."""
+        """Return the span of the first of some texts that is in the part; the part's own place if none is."""
         waiting = [self.node]
         while waiting:
             node = waiting.pop(0)
@@ -57,7 +57,7 @@ class Place:
 
 @dataclass(slots=True)
 class Parts:
-    """A definition that was read, and where its parts stand; `measured`: whether its length is still to be."""
+    """A definition that was read, and the places of its parts; `measured`: whether its length must still be measured."""
 
     definition: Definition
     layers: dict[str, Place] = field(default_factory=dict)
@@ -69,7 +69,7 @@ class Parts:
 
 
 def read_document(values: Values, node: Node, files: BodyFiles, name: str) -> Parts | None:
-    """The definition in a file, less what can only be told of the whole of it."""
+    """Read the definition in a file, without the checks that need the complete definition."""
     if _is_part(values, node):
         return None
     entries = values.object(node, "a definition", KNOWN, {"antdsl_body": "1"})
@@ -125,7 +125,7 @@ def _walking(values: Values, entries: Mapping[str, Node], places: Places) -> dic
     return found
 
 
-# Keys by which a part in a file of its own is known, with what it is and how a definition names it.
+# Keys that identify a part in a separate file, with the kind of part and how a definition names it.
 _SIGNS = (
     ("rig_version", "a rig", '"rig": {"file": "…"}'),
     ("antdsl_clip", "a clip", '"clips": [{"file": "…"}]'),
@@ -137,7 +137,7 @@ _SIGNS = (
 
 
 def _is_part(values: Values, node: Node) -> bool:
-    """Complains of a file that is a part of a definition, and not one."""
+    """Return whether a file is only a part of a definition, and report it if so."""
     if not isinstance(node.value, dict) or "antdsl_body" in node.value:
         return False
     for key, what, line in _SIGNS:
@@ -149,7 +149,7 @@ def _is_part(values: Values, node: Node) -> bool:
 
 
 def _base(values: Values, entries: Mapping[str, Node], files: BodyFiles, name: str) -> Definition | None:
-    """The definition of a glTF or USD file that all else is added to."""
+    """Return the definition of the glTF or USD file that everything else is added to."""
     node = entries.get("from")
     if node is None:
         return None
@@ -173,7 +173,8 @@ def _base(values: Values, entries: Mapping[str, Node], files: BodyFiles, name: s
 
 
 def _file(values: Values, node: Node) -> tuple[str, Span] | None:
-    """The path of a part that lies in a file of its own: an object with `file` and nothing else."""
+    """Return the path of a part in a separate file (an object with `file` and nothing else), with its span; None for other
+    values."""
     if not isinstance(node.value, dict) or set(node.value) != {"file"}:
         return None
     path = values.text(node.value["file"], "the path of a file")
@@ -183,7 +184,7 @@ def _file(values: Values, node: Node) -> tuple[str, Span] | None:
 def _one(
     values: Values, node: Node | None, what: str, read: Callable[[Values, Node], T], files: BodyFiles
 ) -> tuple[T | None, Place | None]:
-    """A part, inside the file or in one of its own, and where it stands."""
+    """Read a part, inside the file or from a separate one. Return it with its place."""
     if node is None:
         return None, None
     named = _file(values, node)
@@ -203,7 +204,7 @@ def _all(
     values: Values, node: Node | None, what: str, read: Callable[[Values, Node], T | None], files: BodyFiles,
     name: Callable[[T], str], places: dict[str, Place],
 ) -> dict[str, T]:  # fmt: skip
-    """The parts of a list by name, each of which may lie in a file of its own."""
+    """Return the parts of a list by name. Each may be in a separate file."""
     found: dict[str, T] = {}
     for each in _counted(values, node, f"{what.partition(' ')[2]}s"):
         part, place = _one(values, each, what, read, files)
@@ -229,8 +230,7 @@ def _counted(values: Values, node: Node | None, what: str) -> list[Node]:
 
 
 def _clips(values: Values, node: Node | None, files: BodyFiles, rig: Rig, found: dict[str, Clip]) -> dict[str, Clip]:
-    """The clips of a list: inside the file, in files of their own, out of glTF or USD files, or those of `from` with other
-    settings."""
+    """Return the clips of a list: inline, from clip files, from glTF or USD files, or those of `from` with other settings."""
     first: dict[str, Span] = {}
     for each in _counted(values, node, "clips"):
         if isinstance(each.value, dict) and "antdsl_clip" not in each.value:
@@ -297,7 +297,7 @@ def _referred_clips(
 
 
 def _clips_of(values: Values, entries: Mapping[str, Node], path: str, place: Span, files: BodyFiles, rig: Rig) -> dict[str, Clip]:
-    """The clips of a file: one of a text, all of a glTF or USD file, less the joints that the rig does not have."""
+    """Return the clips of a file: one from a text, all of a glTF or USD file, without joints that the rig lacks."""
     if ending(path) not in (*GLTF, *USD):
         if ending(path) != "json" and not files.closed(path, place):
             kinds = ", ".join(f".{kind}" for kind in ("json", *GLTF, *USD))
@@ -316,7 +316,7 @@ def _clips_of(values: Values, entries: Mapping[str, Node], path: str, place: Spa
 
 
 def _of_rig(files: BodyFiles, clip: Clip, rig: Rig, place: Span) -> Clip:
-    """A clip of another file for this rig: joints and channels that it does not have are told of and left out."""
+    """Return a clip of another file for this rig. Joints and channels that the rig does not have are reported and left out."""
     names, channels = set(rig.names), {each.name for each in rig.channels}
     joints = [number for number, joint in enumerate(clip.joints) if joint in names]
     numbers = [number for number, channel in enumerate(clip.channels) if channel in channels]
@@ -338,7 +338,7 @@ def _of_rig(files: BodyFiles, clip: Clip, rig: Rig, place: Span) -> Clip:
 
 
 def unit_mm(text: object) -> float:
-    """Return the millimetres of a unit of lengths such as `mm` or `6 mm`, 0 where a text is none."""
+    """Return the millimetres of a length unit such as `mm` or `6 mm`; 0 if the text is not one."""
     found = _UNIT.fullmatch(text) if isinstance(text, str) else None
     return float(found[1] or 1) * UNIT_MM[found[2]] if found else 0.0
 
@@ -356,7 +356,7 @@ def _unit(values: Values, node: Node | None, otherwise: float) -> float:
 
 
 def _axes(values: Values, entries: Mapping[str, Node], base: Definition) -> tuple[Axis, Axis]:
-    """The axes that a body looks along and stands along."""
+    """Return the forward and upward axes of a body."""
     found = {"front": base.front, "up": base.up}
     for key in found:
         node = entries.get(key)

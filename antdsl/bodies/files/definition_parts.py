@@ -27,19 +27,19 @@ _GAIT = {"name": '"walk"', "speed": "10", "stride": "5", "duty": "0.6", "lift": 
 
 @dataclass(slots=True)
 class Places:
-    """Where legs, gaits and their values stand in a file; those of a cache stand nowhere."""
+    """The places of legs, gaits and their values in a file; those from a cache have no place."""
 
     spans: dict[tuple[str, ...], Span] = field(default_factory=dict)
 
     def of(self, *path: str) -> Span | None:
-        """The place of `legs NAME KEY`, `gaits NAME KEY` or `idle`; of what it is in where it has none of its own."""
+        """Return the span of `legs NAME KEY`, `gaits NAME KEY` or `idle`, or of the innermost known part that contains it."""
         while path and path not in self.spans:
             path = path[:-1]
         return self.spans.get(path)
 
 
 def read_legs(values: Values, node: Node, places: Places) -> tuple[Leg, ...]:
-    """The list `legs`: each with a name of its own and the joints `upper`, `lower` and `foot`."""
+    """Read the list `legs`: each leg has a unique name and the joints `upper`, `lower` and `foot`."""
     found: dict[str, Leg] = {}
     places.spans["legs",] = values.head(node)
     for entries, each in _entries(values, node, "legs", "a leg", _LEG, limits.LEGS):
@@ -56,7 +56,7 @@ def read_legs(values: Values, node: Node, places: Places) -> tuple[Leg, ...]:
 
 
 def read_gaits(values: Values, node: Node, places: Places) -> tuple[Gait, ...]:
-    """The list `gaits`, from slow to fast whatever the order in the file."""
+    """Read the list `gaits` and sort it from slow to fast."""
     found: dict[str, Gait] = {}
     places.spans["gaits",] = values.head(node)
     for entries, each in _entries(values, node, "gaits", "a gait", _GAIT, limits.GAITS):
@@ -79,7 +79,7 @@ def read_gaits(values: Values, node: Node, places: Places) -> tuple[Gait, ...]:
 def _entries(
     values: Values, node: Node, what: str, one: str, needed: dict[str, str], most: int
 ) -> list[tuple[Mapping[str, Node], Node]]:
-    """The objects of a list that have all that is needed."""
+    """Return the objects of a list that have all required keys."""
     items = values.items(node, what)
     if len(items) > most:
         values.report.error("too-large", f"a body has at most {most:,} {what}", values.head(node), None)
@@ -98,8 +98,8 @@ def _note(values: Values, places: Places, path: tuple[str, ...], node: Node, ent
 
 
 def check_legs(found: Definition, places: Places, report: Report) -> None:
-    """Complains of legs whose joints are not there or do not hang below each other, of gaits that do not fit the legs, and of an
-    idle clip that is not there."""
+    """Report legs with joints that are missing or not below each other, gaits that do not fit the legs, and a missing idle
+    clip."""
     for leg in found.legs:
         _leg(found, leg, places, report)
     for gait in found.gaits:
@@ -152,7 +152,8 @@ def above_of(found: Definition, joint: str) -> list[str]:
 
 
 def read_variation(values: Values, node: Node, places: VariationPlaces) -> Variation:
-    """`{"scale": {"head": [0.9, 1.2]}, "materials": {"fur": [[0.4, 0.3, 0.2], [0.1, 0.1, 0.1]]}}` of a definition file."""
+    """Read the variation of a definition file: `{"scale": {"head": [0.9, 1.2]}, "materials": {"fur": [[0.4, 0.3, 0.2], [0.1, 0.1,
+    0.1]]}}`."""
     entries = values.object(node, "variation", ("scale", "materials")) or {}
     scales: dict[str, tuple[float, float]] = {}
     for name, each in _named(values, entries.get("scale"), "scales", '{"head": [0.9, 1.2]}'):
@@ -176,7 +177,7 @@ def read_variation(values: Values, node: Node, places: VariationPlaces) -> Varia
 def misnamed(
     variation: Variation, groups: Iterable[str], materials: Iterable[str], places: VariationPlaces
 ) -> list[tuple[str, str, Span | None, list[str]]]:
-    """What it names that the definition does not have: what that is, its name, where it stands, and what there is."""
+    """Return names in the variation that the definition lacks: kind, name, place, and the existing names."""
     found = []
     for key, what, named, known in (
         ("scale", "transform group", variation.scales, sorted(groups)),
@@ -197,7 +198,7 @@ def _named(values: Values, node: Node | None, what: str, sample: str) -> Iterabl
 
 @dataclass(frozen=True, slots=True)
 class Typed:
-    """A value whose type is written beside it: an object with the keys `type` and `value`, and no other."""
+    """A value with its type beside it: an object with the keys `type` and `value`, and no other."""
 
     type: str
     value: Any
@@ -211,7 +212,7 @@ _TYPES = {
 
 
 def read_metadata(values: Values, node: Node) -> dict[str, Any]:
-    """The entries of a metadata document; what is wrong is told of and left out."""
+    """Return the entries of a metadata document. Wrong entries are reported and left out."""
     if not isinstance(node.value, dict):
         values.wrong(node, "metadata, which is an object `{ … }`,", None)
         return {}

@@ -1,5 +1,5 @@
-"""An agent definition as files of our own: a definition file that names rig, layers, groups, clips and metadata in their
-documented forms beside it, and one glTF file with the geometry of all shapes."""
+"""An agent definition as our own files. A definition file names rig, layers, groups, clips and metadata in their documented forms
+beside it; one glTF file has the geometry of all shapes."""
 
 from __future__ import annotations
 
@@ -66,7 +66,8 @@ def definition_files(body: Definition, name: str) -> dict[str, bytes]:
 
 
 def _shapes(body: Definition) -> bytes:
-    """A glTF file of all shapes as they are, each a mesh, those that follow joints with a skin; numbers are the definition's."""
+    """Return a glTF file of all shapes unchanged, one mesh each; those that follow joints have a skin. Numbers are the
+    definition's."""
     writer = GltfWriter(f"antdsl {__version__}")
     materials = {}
     for name in {m: None for shape in body.shapes.values() for m in shape.materials if m and not _lone(body, shape)}:
@@ -94,7 +95,7 @@ def _shapes(body: Definition) -> bytes:
 
 
 def _reference(body: Definition, shape: Shape, path: str) -> dict[str, Any]:
-    """How a definition names a shape, with the documented attributes of blend shapes."""
+    """Return a definition's reference to a shape, with the documented attributes of blend shapes."""
     found: dict[str, Any] = {"file": path, "shape": shape.name}
     if _lone(body, shape):
         found["material"] = shape.materials[0]
@@ -115,12 +116,13 @@ def _reference(body: Definition, shape: Shape, path: str) -> dict[str, Any]:
 
 
 def _lone(body: Definition, shape: Shape) -> bool:
-    """Whether a shape has one material that has no colour, as `state`: glTF would give it one, so that its reference names it."""
+    """Return whether a shape has exactly one material and that has no colour, such as `state`. glTF would give it a colour, so
+    the reference names the material."""
     return len(shape.materials) == 1 and shape.materials[0] not in body.materials
 
 
 def _whole(body: Definition, clip: Clip) -> Clip:
-    """A clip that says its shear where the rest pose has some: a text that leaves it out has that of the rest pose."""
+    """Return a clip with explicit shear where the rest pose has some: a clip text without shear takes it from the rest pose."""
     if clip.shear is not None or np.abs(parts_of(body.rig.rest)[3]).max(initial=0.0) < 1e-9:
         return clip
     return replace(clip, shear=np.zeros_like(clip.translation))

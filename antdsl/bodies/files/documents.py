@@ -26,12 +26,12 @@ REST = "antdsl_rest"
 DEFORMERS = ("linearskinning", "dualquatskinning", "dualquatblendskinning")
 DOCUMENTED_DEFORMERS = ("blendshape", *DEFORMERS, *(f"blendshape+{name}" for name in DEFORMERS))
 T = TypeVar("T")
-_ROWS = re.compile(r"\[\n([-+0-9.eE,\s]+)\]")  # a text has no line end of its own, so that none can look like this
+_ROWS = re.compile(r"\[\n([-+0-9.eE,\s]+)\]")  # strings contain no raw line breaks, so that none can look like this
 
 
 def read_part(data: bytes, name: str, what: str, read: Callable[[Values, Node], T]) -> tuple[T | None, Report]:
-    """What a reader of this room makes of a file's bytes: `read_part(data, "rig.json", "a rig", read_rig)`. `what` it is to be is
-    said in complaints; None where one of them is an error."""
+    """Read a part from a file's bytes with a reader of this package: `read_part(data, "rig.json", "a rig", read_rig)`. `what`
+    names the expected part in findings. Returns None if one of them is an error."""
     source, report = decode(data, name, what)
     if not report.ok:
         return None, report
@@ -65,8 +65,8 @@ def read_rig(values: Values, node: Node) -> Rig | None:
 
 
 def _tree(values: Values, node: Node) -> tuple[tuple[str, ...], list[int]] | None:
-    """Return joints, each with the number of its parent, in the order of the text. If parents do not come first there, the
-    joints go from the roots down."""
+    """Return joints and the number of each one's parent, in the order of the text. If parents do not come first there, the order
+    goes from the roots down."""
     if not isinstance(node.value, dict):
         values.wrong(node, "an object of joints, each with a list of its children,", 'write `{"root": []}`')
         return None
@@ -122,7 +122,7 @@ def _no_such_child(values: Values, place: Span, name: str, child: str, free: lis
 
 
 def _refuse_circles(values: Values, parent: Mapping[str, tuple[str, Span]]) -> None:
-    """Complains of each circle once, at the line that closes it."""
+    """Report each cycle once, at the line that closes it."""
     seen: set[str] = set()
     for start in parent:
         way: dict[str, None] = {}
@@ -268,7 +268,7 @@ def read_group(values: Values, node: Node) -> TransformGroup | None:
 
 
 def _named(values: Values, node: Node | None, what: str, known: tuple[str, ...]) -> list[tuple[str, Mapping[str, Node]]]:
-    """The objects of a list, each with a name that no other has."""
+    """Return the objects of a list, each with a unique name."""
     found: dict[str, tuple[Span, Mapping[str, Node]]] = {}
     for each in values.items(node, "objects with a `name`") if node is not None else ():
         entries = values.object(each, what, known, {"name": '"…"'}, strict=False)
@@ -295,7 +295,7 @@ def write_metadata(metadata: Mapping[str, Any]) -> str:
 
 
 def json_text(value: Any) -> str:
-    """JSON as files have it: two blanks a level, lists of numbers on one line, a line end at the end."""
+    """Return JSON in our file style: two spaces per level, lists of numbers on one line, a final line end."""
     text = json.dumps(value, indent=2, ensure_ascii=False, allow_nan=False)
     return _ROWS.sub(lambda found: f"[{', '.join(found[1].replace(',', ' ').split())}]", text) + "\n"
 

@@ -1,7 +1,7 @@
 """A glTF file as an agent definition: nodes are joints, meshes shapes, morph targets blend shapes, animations clips.
 
-Kept of the nodes are the joints of skins, what is animated, what holds a mesh, and all above them, so that the world transform of
-a joint is that of its node. Khronos Group, glTF 2.0 Specification, 2021, sections 3.5, 3.7 and 3.11."""
+The nodes that become joints are joints of skins, animated nodes, nodes with a mesh, and all nodes above them. So the world
+transform of a joint is that of its node. Khronos Group, glTF 2.0 Specification, 2021, sections 3.5, 3.7 and 3.11."""
 
 from __future__ import annotations
 
@@ -27,11 +27,12 @@ _EXPORT = "export it again, as glTF 2.0"
 def read_gltf(
     data: bytes, name: str, beside: Callable[[str, int], bytes], rate: float, pose: Rig | None = None
 ) -> tuple[Definition, list[str]]:
-    """Return the definition in a file's bytes, and sentences about what of it is not read.
+    """Return the definition in a file's bytes, and sentences about the parts of it that are not read.
 
-    Animations are sampled about `rate` times a second, so that each ends on a sample; what they do not key stays as in the rest
-    pose of the file, or of `pose` for the joints that it has. `beside(path, cap)` reads a file beside it. Raises BodyError."""
-    with np.errstate(all="ignore"):  # what is not finite is told where it is seen to be so
+    Animations are sampled about `rate` times per second, so that each ends on a sample. What they do not key stays as in the rest
+    pose of the file, or of `pose` for the joints that it has. `beside(path, cap)` reads a file relative to this one. Raises
+    BodyError."""
+    with np.errstate(all="ignore"):  # values that are not finite are reported where they are detected
         try:
             return _read(data, name, beside, rate, pose)
         except GltfError as why:
@@ -60,7 +61,7 @@ def _read(
 
 
 def _kept(file: Gltf, parents: list[int]) -> list[int]:
-    """The nodes that become joints, parents before children, as the file's scene has them."""
+    """Return the nodes that become joints, parents before children, in the scene's order."""
     nodes = file.top("nodes")
     roots = scene_roots(file) or [number for number, parent in enumerate(parents) if parent < 0]
     wanted: set[int] = set()
@@ -112,7 +113,7 @@ def _rig(body: GltfBody, kept: list[int], parents: list[int]) -> Rig:
 
 
 def _posed(rig: Rig, pose: Rig | None) -> Rig:
-    """Return a rig with the rest pose of the joints of another one that have the same names."""
+    """Return a rig with the rest pose of the joints that another rig has by the same names."""
     if pose is None:
         return rig
     rest, known = rig.rest.copy(), {name: number for number, name in enumerate(pose.names)}
@@ -141,7 +142,7 @@ def local_parts(file: Gltf, node: dict[str, Any]) -> tuple[Floats, Floats, Float
 
 
 def _layer(body: GltfBody) -> Layer:
-    """The layer of all meshes, which are read into shapes on the way."""
+    """Return the layer of all meshes, and read them into shapes."""
     file = body.file
     nodes, meshes, skins = file.top("nodes"), file.top("meshes"), file.top("skins")
     known: dict[tuple[int, ...], str] = {}

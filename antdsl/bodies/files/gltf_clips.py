@@ -1,4 +1,4 @@
-"""Animations of a glTF file as clips: LINEAR, STEP and CUBICSPLINE keys sampled at even steps of time. Khronos Group, glTF 2.0
+"""Animations of a glTF file as clips: LINEAR, STEP and CUBICSPLINE keys sampled at equal time steps. Khronos Group, glTF 2.0
 Specification, 2021, section 3.11 and appendix C."""
 
 from __future__ import annotations
@@ -23,8 +23,8 @@ _WIDTHS = {"translation": 3, "rotation": 4, "scale": 3}
 
 def read_clips(file: Gltf, joint: Mapping[int, str], weights: Mapping[int, tuple[str, ...]], rig: Rig, rate: float) -> list[Clip]:
     """Return the clips of a file. `joint`: names of nodes by number; `weights`: the channels that weigh the morph targets of a
-    node's mesh. Each is sampled about `rate` times a second, from 0 to its last key, or as often as its extras say. What a clip
-    does not key stays as in the rest pose of `rig`."""
+    node's mesh. Clips are sampled about `rate` times per second, from 0 to the last key, or at the rate in their extras. What a
+    clip does not key stays as in the rest pose of `rig`."""
     animations = file.top("animations")
     if len(animations) > limits.BODY_PARTS:
         raise BodyError(f"has {len(animations):,} animations, more than are read", code="too-large")
@@ -43,7 +43,7 @@ def read_clips(file: Gltf, joint: Mapping[int, str], weights: Mapping[int, tuple
 
 
 def even_times(seconds: float, rate: float) -> tuple[NDArray[Any], float]:
-    """Moments from 0 to `seconds`, both among them, about `rate` a second; and how many a second they are."""
+    """Return times from 0 to `seconds`, both included, about `rate` per second; and their exact rate."""
     steps = max(1, round(seconds * rate))
     if seconds <= 0:
         return np.zeros(1), rate
@@ -54,7 +54,7 @@ def _clip(
     file: Gltf, animation: dict[str, Any], name: str, joint: Mapping[int, str], weights: Mapping[int, tuple[str, ...]],
     rig: Rig, rate: float, left: int,
 ) -> tuple[Clip | None, int]:  # fmt: skip
-    """A clip and the bytes that it takes, of `left` at most."""
+    """Return a clip and its bytes, at most `left`."""
     moved: dict[str, dict[str, _Keys]] = {}
     shares: dict[str, tuple[_Keys, int]] = {}
     samplers = file.objects(animation, "samplers")
@@ -107,7 +107,7 @@ def _clip(
 
 
 def write_settings(clip: Clip) -> dict[str, Any]:
-    """Return the extras of an animation: what glTF has no place for in a clip."""
+    """Return the extras of an animation: the clip's settings that glTF cannot express."""
     found: dict[str, Any] = {"rate": clip.rate, "loop": clip.loop, "feet": clip.feet}
     if clip.stride:
         found["stride"] = clip.stride
@@ -138,8 +138,8 @@ def _is_number(value: object, low: float, high: float) -> bool:
 
 
 class _Keys:
-    """The keys of a sampler: `times` float64[n], rising; `values` float64[n, 1, width], of a spline [n, 3, width], the value
-    between two tangents."""
+    """The keys of a sampler: `times` float64[n], ascending; `values` float64[n, 1, width]. For a spline `values` is [n, 3,
+    width]: the value between its two tangents."""
 
     def __init__(self, file: Gltf, sampler: dict[str, Any], width: int) -> None:
         self.kind = sampler.get("interpolation", "LINEAR")
@@ -155,7 +155,7 @@ class _Keys:
         self.values = values.reshape(count, each, width)
 
     def at(self, times: Floats, rotation: bool = False) -> Floats:
-        """The values at `times` float64[F], those of the first and last key before and after all of them."""
+        """Return the values at `times` float64[F]; before the first and after the last key, the value of that key."""
         keys, own = self.times, self.values[:, len(self.values[0]) // 2]
         if len(keys) == 1:
             return np.broadcast_to(own[0], (len(times), own.shape[1]))

@@ -21,7 +21,8 @@ _EXPORT = "export it again, as glTF 2.0"
 
 @dataclass(slots=True)
 class GltfBody:
-    """What is being read: `joint` is the name of each node by its number, `left_out` what is told of and not read."""
+    """The state of a glTF import: `joint` is the name of each node by its number, `left_out` the reported parts that are not
+    read."""
 
     file: Gltf
     joint: dict[int, str] = field(default_factory=dict)
@@ -34,7 +35,7 @@ class GltfBody:
 
 
 def unused(name: str, taken: Iterable[str]) -> str:
-    """A name that is not taken: itself, or with the first number that makes it so."""
+    """Return a name that is not taken: itself, or with the first free number appended."""
     taken = taken if isinstance(taken, set | dict) else set(taken)
     made, count = name, 2
     while made in taken:
@@ -44,7 +45,8 @@ def unused(name: str, taken: Iterable[str]) -> str:
 
 @dataclass(slots=True)
 class _Pieces:
-    """The primitives of a mesh, one after the other; those that share all their points have them once, and `of` says which."""
+    """The primitives of a mesh in sequence. Primitives with identical points store them once; `of` gives the index of each one's
+    points."""
 
     known: dict[str, int] = field(default_factory=dict)
     of: list[int] = field(default_factory=list)
@@ -60,7 +62,7 @@ class _Pieces:
 
 
 def read_shape(body: GltfBody, name: str, mesh: dict[str, Any], skin: dict[str, Any] | None, node: dict[str, Any]) -> bool:
-    """Reads a mesh into the shape `name`, its morph targets into shapes of their own; False where it has no triangles."""
+    """Read a mesh into the shape `name`, and its morph targets into further shapes. Return False if it has no triangles."""
     file, pieces = body.file, _Pieces()
     for primitive in file.objects(mesh, "primitives"):
         _piece(body, pieces, primitive, skin is not None)
@@ -93,7 +95,7 @@ def read_shape(body: GltfBody, name: str, mesh: dict[str, Any], skin: dict[str, 
 
 
 def _units(normals: Floats) -> NDArray[np.float32]:
-    """Return normals (n, 3) of length 1: those that a file has as whole numbers are a little longer or shorter."""
+    """Return normals (n, 3) scaled to length 1: normals that a file stores as integers are a little longer or shorter."""
     length = np.sqrt((normals * normals).sum(axis=1, keepdims=True))
     off = (np.abs(length - 1.0) > _OFF) & (length > 1e-12)
     return np.where(off, normals / np.where(off, length, 1.0), normals).astype(np.float32)
@@ -154,7 +156,7 @@ def _piece(body: GltfBody, pieces: _Pieces, primitive: dict[str, Any], skinned: 
 
 
 def _faces(body: GltfBody, pieces: _Pieces, primitive: dict[str, Any], faces: NDArray[np.int64], of: int) -> bool:
-    """Notes the triangles of a primitive, whose points are those of the piece `of`; False where there are none."""
+    """Append the triangles of a primitive, with points from the piece `of`. Return False if there are none."""
     if len(faces):
         pieces.faces.append(faces)
         pieces.of.append(of)
@@ -206,8 +208,9 @@ def _capture(body: GltfBody, pieces: _Pieces, skin: dict[str, Any], name: str) -
 
 
 def captured(joints: NDArray[np.int64], weights: Floats, count: int) -> tuple[NDArray[np.int32], NDArray[np.float32], int]:
-    """Joints int32[P, K] and weights float32[P, K] that add up to 1, columns that nobody needs left out; and how many points
-    followed none of the `count` joints, which then follow the first. BodyError for a joint that is not there."""
+    """Return joints int32[P, K], weights float32[P, K] that add up to 1, and the number of points that followed no joint. Unused
+    columns are removed. Points without a joint follow the first of the `count` joints. Raises BodyError for a joint number out of
+    range."""
     used = weights > 0
     if len(joints) and used.any() and (joints[used].min() < 0 or joints[used].max() >= count):
         raise BodyError(f"has a point that follows a joint which is not among the {count} of its skin", _EXPORT)
@@ -220,7 +223,8 @@ def captured(joints: NDArray[np.int64], weights: Floats, count: int) -> tuple[ND
 
 
 def rigid(joint: str, points: int) -> Capture:
-    """All points follow one joint, in whose own space they are: a shape that is blended before it moves with that joint."""
+    """Return a capture in which all points follow one joint and are in its space. A shape that is blended first then moves with
+    that joint."""
     return Capture((joint,), np.zeros((points, 1), np.int32), np.ones((points, 1), np.float32), np.eye(4)[None])
 
 
@@ -252,7 +256,8 @@ def _targets(body: GltfBody, shape: Shape, pieces: _Pieces, mesh: dict[str, Any]
 
 
 def _materials(body: GltfBody, pieces: _Pieces) -> tuple[tuple[str, ...], NDArray[np.int32] | None]:
-    """The names of a shape's materials, and the number of each triangle's; their base colours go to the definition."""
+    """Return the names of a shape's materials, and the material number of each triangle; add their base colours to the
+    definition."""
     file, known = body.file, body.file.top("materials")
     if not known or all(each is None for each in pieces.material):
         return (), None

@@ -1,4 +1,4 @@
-"""A glTF 2.0 file being made: accessors laid end to end in one buffer, and the parts that name them. Khronos Group, glTF 2.0
+"""A writer of glTF 2.0 files: accessors in sequence in one buffer, and the parts that refer to them. Khronos Group, glTF 2.0
 Specification, 2021, sections 3.6 (accessors, alignment, bounds) and 4 (.glb)."""
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ class GltfWriter:
         self._lists: dict[str, list[Entry]] = {}
 
     def add(self, key: str, entry: Entry) -> int:
-        """Put a part into one of the lists (`nodes`, `meshes`); gives its number."""
+        """Add a part to one of the lists (`nodes`, `meshes`) and return its number."""
         self._lists.setdefault(key, []).append(entry)
         return len(self._lists[key]) - 1
 
@@ -40,8 +40,8 @@ class GltfWriter:
         return self._lists[key][number]
 
     def accessor(self, values: NDArray[Any], kind: str = "f4", target: int = 0, bounds: bool = False) -> int:
-        """The number of a new accessor with values (n,) or (n, k) as `f4`, `u2` or `u4`; `bounds` writes the least and the
-        greatest of each column, which positions and times have to have."""
+        """Add an accessor with values (n,) or (n, k) as `f4`, `u2` or `u4`, and return its number. `bounds` writes the least and
+        greatest of each column, which positions and times must have."""
         rows = np.ascontiguousarray(values, f"<{kind}").reshape(len(values), -1)
         self.data += bytes(-len(self.data) % 4)
         raw = rows.tobytes()
@@ -56,7 +56,7 @@ class GltfWriter:
         return self.add("accessors", made)
 
     def bytes(self, text: bool, **more: Any) -> bytes:
-        """The file: a .gltf with its buffer inside it where `text`, else a .glb. `more`: `scene`, `extras`."""
+        """Return the file: a .gltf with an embedded buffer if `text`, else a .glb. `more`: `scene`, `extras`."""
         data = bytes(self.data) + bytes(-len(self.data) % 4)
         lists = {key: entries for key, entries in self._lists.items() if entries}
         buffer: Entry = {"byteLength": len(data)}
@@ -74,7 +74,7 @@ class GltfWriter:
 
 
 class ShapeParts:
-    """The accessors of a shape, which all meshes of it share: `primitives` differ by their materials alone."""
+    """The accessors of a shape, shared by all its meshes: their `primitives` differ only in materials."""
 
     def __init__(self, writer: GltfWriter, body: Definition, shape: Shape, normals: NDArray[np.float32] | None) -> None:
         self.writer, self.shape = writer, shape
@@ -94,7 +94,7 @@ class ShapeParts:
         self._kinds = self._by_material()
 
     def _capture(self) -> None:
-        """The joints that points follow, four to a set, those of the greatest weights first."""
+        """Write the joints that points follow in sets of four, sorted by descending weight."""
         capture = self.shape.capture
         if capture is None:
             return
@@ -114,7 +114,7 @@ class ShapeParts:
         return found
 
     def _by_material(self) -> list[tuple[str, int]]:
-        """The materials of the triangles in their order, each with the accessor of its corners."""
+        """Return the materials of the triangles by ascending number, each with the accessor of its triangles' corners."""
         shape = self.shape
         names = shape.materials or ("",)
         of = np.zeros(len(shape.faces), np.int64) if shape.material is None else shape.material.astype(np.int64)
@@ -125,7 +125,7 @@ class ShapeParts:
         ]
 
     def mesh(self, name: str, materials: dict[str, int]) -> int:
-        """A mesh in materials by their names; one that is not among them has none."""
+        """Add a mesh with materials by name and return its number; a name that is not in `materials` gets no material."""
         primitives = []
         for material, indices in self._kinds:
             made: Entry = {"attributes": self.attributes, "indices": indices}
@@ -140,7 +140,7 @@ class ShapeParts:
         return self.writer.add("meshes", entry)
 
     def skin(self, nodes: dict[str, int], top: int) -> int:
-        """The skin by which the shape follows joints, whose nodes are named."""
+        """Add the skin by which the shape follows its joints, with the nodes of these given by name, and return its number."""
         capture = self.shape.capture
         assert capture is not None
         if not hasattr(self, "_inverse"):
@@ -150,9 +150,9 @@ class ShapeParts:
 
 
 class Targets:
-    """The morph targets of a blend shape: the differences of each input and of its in-betweens from the base, and how much each
-    counts at values of the channels. glTF adds targets linearly; an in-between is one more target whose weight is the share that
-    `blend_shapes` gives it."""
+    """The morph targets of a blend shape: differences of each input and its in-betweens from the base, and their weights at given
+    channel values. glTF adds targets linearly. An in-between is a separate target, weighted by the share that `blend_shapes`
+    gives it."""
 
     def __init__(self, body: Definition, shape: Shape) -> None:
         assert shape.blend is not None
@@ -187,7 +187,7 @@ class Targets:
 
 
 def _units(normals: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Normals of length 1, as the format wants them to the last digits; one without a length looks up."""
+    """Return normals of length 1, to the precision that the format requires; a zero normal becomes up."""
     wide = normals.astype(np.float64)
     length = np.sqrt((wide * wide).sum(axis=1, keepdims=True))
     found: NDArray[np.float32] = np.where(length > 1e-12, wide / np.maximum(length, 1e-12), (0.0, 1.0, 0.0)).astype(np.float32)

@@ -1,5 +1,5 @@
-"""An agent definition as a glTF 2.0 file: joints are nodes, the layer that is drawn meshes and skins, blend shapes morph targets,
-clips animations. glTF has metres, +y up and +z ahead, and the definition is told in these."""
+"""An agent definition as a glTF 2.0 file: joints are nodes, the drawn layer meshes and skins, blend shapes morph targets, clips
+animations. The definition is converted to the axes of glTF: metres, +y up and +z ahead."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ from antdsl.bodies.files.gltf_clips import write_settings
 from antdsl.bodies.files.gltf_writer import Entry, GltfWriter, ShapeParts
 
 FRONT, UP, METRE = (0.0, 0.0, 1.0), (0.0, 1.0, 0.0), 1000.0
-_PLAIN = (0.3, 0.3, 0.3)  # of what has the colour of a state, which nobody has here
+_PLAIN = (0.3, 0.3, 0.3)  # colour of materials that take the colour of a state, since no agent has a state here
 _STILL: dict[str, tuple[float, ...]] = {"translation": (0, 0, 0), "rotation": (0, 0, 0, 1), "scale": (1, 1, 1)}
 
 
 def write_gltf(body: Definition, layer: Layer, *, text: bool) -> tuple[bytes, list[str]]:
-    """The bytes of a .gltf (`text`) or .glb file of a definition with the shapes of one layer, and sentences about what of it
-    glTF does not have."""
+    """Return the bytes of a .gltf (`text`) or .glb file of a definition with the shapes of one layer, and sentences about what
+    glTF cannot store."""
     made = _Written(in_axes(body, FRONT, UP, METRE), layer)
     data = made.writer.bytes(text, scene=0, scenes=[{"nodes": made.roots}])
     return data, [*made.notes, *_left_out(body, layer)]
@@ -86,7 +86,8 @@ class _Written:
         return self.writer.add("materials", {"name": name, "pbrMetallicRoughness": pbr})
 
     def _bind(self, binding: Binding) -> None:
-        """A mesh: one that follows its own joints beside them, any other in its joint's node, or below where that has one."""
+        """Write a mesh. A skinned mesh becomes a node beside the joints; any other goes into its joint's node, or below it if
+        that node has a mesh."""
         shape = self.body.shapes[binding.shape]
         if binding.shape not in self._parts:
             self._parts[binding.shape] = ShapeParts(self.writer, self.body, shape, shape.normals)

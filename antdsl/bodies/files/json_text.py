@@ -1,5 +1,5 @@
-"""JSON text to a tree in which each value has its place: as RFC 8259, and comments (`//`, `/* */`) and a comma behind the last
-value are passed over, since people write them. Depth and number of values are held against limits as they come."""
+"""Parses JSON text to a tree in which each value has its place. As RFC 8259, but comments (`//`, `/* */`) and a comma after the
+last value are ignored, since people write them. Depth and number of values are checked against limits during parsing."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ Plain = dict[str, "Node"] | list["Node"] | list[float] | str | int | float | boo
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Node:
-    """A value at characters `start` to `end`. `value` of an array of numbers alone is a list of plain numbers (`numbers`), of any
-    other array a list of nodes, of an object a mapping whose keys stand at `keys`."""
+    """A value at characters `start` to `end`. `value` of an array of numbers only is a list of plain numbers (`numbers`). Any
+    other array is a list of nodes; an object is a mapping, with its keys located at `keys`."""
 
     value: Plain
     start: int
@@ -47,7 +47,7 @@ _INSTEAD = {"True": "true", "False": "false", "None": "null", "undefined": "null
 
 
 def read_json(source: Source, what: str) -> tuple[Node | None, Report]:
-    """The tree of a text, or None and what is wrong with it, the first mistake alone; `what` it is to be, such as `a rig`."""
+    """Return the tree of a text, or None and the first mistake. `what` names the expected part, such as `a rig`."""
     reader = _Reader(source, what)
     try:
         return reader.whole(), reader.report
@@ -119,7 +119,8 @@ class _Reader:
         return value if found[1] or found[2] else int(found[0])
 
     def numbers(self, at: int) -> Node | None:
-        """An array of nothing but numbers, as are most of the values of a clip; None for any other, and for what is wrong."""
+        """Parse an array of only numbers, the usual form of a clip's values. Return None for any other array, and for
+        mistakes."""
         found = _NUMBERS.match(self.text, at)
         if not found:
             return None
@@ -178,14 +179,14 @@ class _Reader:
         raise self.refuse(at, at + len(word), f"a key stands in double quotes, and `{word}` does not", help)
 
     def needed(self, at: int, opened: int, closing: str) -> int:
-        """The place of a value that must be there: the text has not ended."""
+        """Return the position of a required value; report an error if the text ends before it."""
         if at >= len(self.text):
             opening = Label(Span(self.source, opened, opened + 1), "this is still open")
             raise self.refuse(at, at, f"the text ends before `{closing}`", f"write the missing `{closing}`", opening)
         return at
 
     def behind(self, end: int, opened: int, closing: str) -> int:
-        """The place behind a value and its comma, where the next one or the closing bracket stands."""
+        """Return the position after a value and its comma, where the next value or the closing bracket is."""
         at = self.needed(self.space(end), opened, closing)
         if self.text[at] == ",":
             return self.needed(self.space(at + 1), opened, closing)

@@ -1,5 +1,5 @@
-"""Files that a definition names: below the folder of the file that names them, or of a granted root; and what is wrong with them
-as complaints, with the place where they are named."""
+"""Files that a definition names: below the folder of the naming file, or of a granted root. Problems become findings at the place
+where the file is named."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from antdsl.source import Span
 
 T = TypeVar("T")
 GLTF, USD, MESHES = ("glb", "gltf"), ("usd", "usda", "usdc", "usdz"), ("obj", "ply", "stl")
-RATE = 30.0  # samples a second of animations whose file has none of its own
+RATE = 30.0  # samples per second of animations with no rate in their file
 _ROOTED = re.compile("[A-Za-z][A-Za-z0-9_]{1,31}:")
 _VARIABLE = re.compile(r"\$(?:\{([A-Za-z][A-Za-z0-9_]*)\}|([A-Za-z][A-Za-z0-9_]*))/(.*)", re.DOTALL)
 # What other programs write and nothing here reads, with what to do instead.
@@ -50,8 +50,8 @@ def ending(path: str) -> str:
 
 @dataclass(slots=True)
 class BodyFiles:
-    """`folder`: what is put before a path that names no root, such as `bodies/`; `named`: the file that a person named on the
-    command line, by the text under which it goes here; `read`: definitions that were read before, by path and settings."""
+    """Access to the files of a definition. `folder`: the prefix of a path that names no root, such as `bodies/`. `named`: the
+    file from the command line, by the text used for it here. `read`: definitions read before, by path and settings."""
 
     roots: Roots
     report: Report
@@ -71,7 +71,7 @@ class BodyFiles:
         self.report.error(why.code, str(why), place, why.help)
 
     def closed(self, path: str, place: Span | None) -> bool:
-        """Complains of a kind of file that cannot be read here, and of what can be done instead."""
+        """Report a kind of file that cannot be read here, with the alternative; return whether it is one."""
         kind = ending(path)
         if kind not in _CLOSED:
             return False
@@ -79,7 +79,7 @@ class BodyFiles:
         return True
 
     def part(self, path: str, what: str, read: Callable[[Values, Node], T], place: Span | None) -> tuple[T | None, Values | None]:
-        """A part in a JSON file of its own, and the values of that file, for later complaints."""
+        """Read a part from a separate JSON file. Return it with the values of that file, for later findings."""
         if self.closed(path, place):
             return None, None
         kept: list[Values] = []
@@ -108,8 +108,8 @@ class BodyFiles:
     def body(
         self, path: str, place: Span | None, prim: str = "", rate: float = 0.0, pose: Rig | None = None
     ) -> Definition | None:
-        """Return the definition in a glTF or USD file, read once. `prim`: of USD, what lies at and below it; `rate`: samples a
-        second of its animations, 0 for the file's own; `pose`: for what animations of a glTF file do not key."""
+        """Return the definition in a glTF or USD file, read once. `prim`: the USD prim to read, with all below it. `rate`:
+        samples per second of its animations, 0 for the file's own. `pose`: rest pose of what glTF animations do not key."""
         full = self.full(path)
         pose = pose if ending(path) in GLTF else None
         plain = self.kept.get((full, prim, rate, False))
@@ -142,12 +142,12 @@ class BodyFiles:
         return found
 
     def _beside(self, full: str) -> Callable[[str, int], bytes]:
-        """Reads what a file names relative to its own folder."""
+        """Return a reader of files that a file names relative to its own folder."""
         folder = full[: full.rfind("/") + 1] or (f"{full.partition(':')[0]}:" if _ROOTED.match(full) else "")
         return lambda path, cap: self.bytes_of(folder + path, cap)
 
     def _usd(self, full: str, prim: str, name: str, rate: float) -> tuple[Definition, list[str]]:
-        """As `read_usd`; of a file that a person named by a link, the file that it leads to."""
+        """Read as `read_usd`. If the user named a link, read the file that it points to."""
         from antdsl.bodies.files.usd_definition import read_usd
 
         roots, text = self.roots, full
@@ -157,9 +157,9 @@ class BodyFiles:
         return read_usd(roots, text, prim, name, rate)
 
     def included(self, condensed: str, absolute: str) -> str:
-        """The path of a shape library that is named twice: by a condensed path (`$HIP/shapes.glb`, `$JOB/…`, or relative) below
-        the definition's folder or a granted root, and by an absolute one, which is taken only where a root grants its folder.
-        PathRefused where neither can be had."""
+        """Return the path of a shape library that is named twice. The condensed path (`$HIP/shapes.glb`, `$JOB/…`, or relative)
+        is searched below the definition's folder or a granted root. The absolute path is used only if a root grants its folder.
+        Raises PathRefused if neither can be used."""
         found = _VARIABLE.fullmatch(condensed)
         path = condensed
         if found:
@@ -176,7 +176,7 @@ class BodyFiles:
             return granted
 
     def _granted(self, absolute: str) -> str | None:
-        """An absolute path by the name of the root that grants it."""
+        """Return an absolute path, written with the name of the root that grants it."""
         whole = os.path.normpath(absolute)
         for name, folder in (("", self.roots.folder), *sorted(self.roots.granted.items())):
             root = os.path.abspath(folder)
@@ -190,6 +190,6 @@ class BodyFiles:
 
 
 def _rests_apart(one: Rig, other: Rig) -> bool:
-    """Return whether any joint of two rigs has another rest pose in each."""
+    """Return whether any joint that two rigs share has different rest poses."""
     known = {name: number for number, name in enumerate(other.names)}
     return any((one.rest[k] != other.rest[known[name]]).any() for k, name in enumerate(one.names) if name in known)

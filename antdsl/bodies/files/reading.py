@@ -19,18 +19,18 @@ from antdsl.diagnostics import Report
 from antdsl.scene.paths import Roots, Sought, note, open_again, sought
 from antdsl.source import Span
 
-MOST = 8  # definitions kept
+MOST = 8  # number of cached definitions
 Stamp = tuple[int, ...]
 
 
 def read_definition(
     path: Path | str, roots: Roots | None = None, place: Span | None = None, *, prim: str = "", rate: float = 0.0
 ) -> tuple[Definition | None, Report]:
-    """The definition in a .json, .glb, .gltf or USD file, or None and why there is none.
+    """Read the definition in a .json, .glb, .gltf or USD file. Return it, or None, with the report.
 
-    A `Path` is one that a person named, whose own folder is the root of what it names in turn unless `roots` says otherwise; a
-    text is one that a file names at `place`, and lies below `roots`. Of a USD file `prim` is what is read; animations are
-    sampled about `rate` times a second (0: as often as the file's own frames, or 30 times)."""
+    A `Path` was named by a person: its folder is the root of the files that it names, unless `roots` says otherwise. A text was
+    named by a file at `place`, and lies below `roots`. `prim`: the prim of a USD file to read. Animations are sampled about
+    `rate` times a second (0: at the file's own frame rate, or 30 times)."""
     report = Report()
     if isinstance(path, Path):
         text = path.name
@@ -64,7 +64,7 @@ def read_definition(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Kept:
-    """A definition with all files that it was read from: the root of each, and what its size, time and number were."""
+    """A definition with all files it was read from: the root of each, and its size, time and file number."""
 
     definition: Definition
     files: dict[Path, tuple[Path | None, Stamp]]
@@ -74,8 +74,8 @@ _kept: OrderedDict[tuple[object, ...], Kept] = OrderedDict()
 
 
 def definition_at(text: str, roots: Roots, place: Span) -> tuple[Definition | None, Report]:
-    """As `read_definition` of a path that a scene names, with names as the language writes them; one that was read before
-    without a complaint is not read again."""
+    """Read as `read_definition`, for a path in a scene, with names in the spelling of the language. A definition that was read
+    before without findings is cached."""
     key = (text, str(roots.folder), *((name, str(folder)) for name, folder in sorted(roots.granted.items())))
     known = _kept.get(key)
     if known is not None and all(_stamp(path, root) == stamp for path, (root, stamp) in known.files.items()):
@@ -100,7 +100,7 @@ def _stamps(files: Sought) -> dict[Path, tuple[Path | None, Stamp | None]]:
 
 
 def _stamp(path: Path, root: Path | None) -> Stamp | None:
-    """What tells that a file was changed; None where it is not there."""
+    """Return a stamp that changes when a file changes; None if there is no file."""
     try:
         handle = open_again(path, root)
     except OSError:

@@ -1,5 +1,5 @@
-"""Shapes of a definition's library: references to files with meshes, the documented attributes of blend shapes beside them, and
-libraries that are included."""
+"""Shapes of a definition's library: references to mesh files, the documented attributes of blend shapes with them, and included
+libraries."""
 
 from __future__ import annotations
 
@@ -34,8 +34,8 @@ def read_shapes(
     shapes: dict[str, Shape],
     materials: dict[str, tuple[float, float, float]],
 ) -> None:
-    """Adds the shapes of a list of references to `shapes`, and the colours of their materials; a reference without a file changes
-    a shape that is there. `unit`: millimetres in one of the definition's units."""
+    """Add the shapes of a list of references to `shapes`, and the colours of their materials. A reference without a file changes
+    an existing shape. `unit`: millimetres in one of the definition's units."""
     first: dict[str, Span] = {}
     for each in values.items(node, 'references such as `{"file": "sword.obj", "name": "sword"}`'):
         entries = values.object(each, "a shape", _KNOWN)
@@ -101,7 +101,7 @@ def _stem(values: Values, entries: Mapping[str, Node], path: str) -> str:
 def shapes_of(
     files: BodyFiles, path: str, place: Span, materials: dict[str, tuple[float, float, float]], name: str
 ) -> dict[str, Shape]:
-    """The shapes of a file by name: all of a glTF or USD file, one called `name` of a mesh."""
+    """Return the shapes of a file by name: all of a glTF or USD file; one called `name` of a mesh file."""
     kind = ending(path)
     if files.closed(path, place):
         return {}
@@ -135,7 +135,7 @@ def shapes_of(
 def read_includes(
     values: Values, node: Node, files: BodyFiles, shapes: dict[str, Shape], materials: dict[str, tuple[float, float, float]]
 ) -> None:
-    """Adds the shapes of libraries that are named by pairs of a condensed and an absolute path."""
+    """Add the shapes of included libraries, each named by a condensed and an absolute path."""
     for pair in values.items(node, "pairs of a condensed and an absolute path"):
         texts = [values.text(each, "a path", empty=True) for each in values.items(pair, "paths")]
         if len(texts) != 2 or None in texts:
@@ -168,7 +168,7 @@ def _factor(values: Values, node: Node | None, unit: float) -> float:
 
 
 def scaled(shape: Shape, factor: float) -> Shape:
-    """A shape in other units: its points, and the joints' places as it was captured."""
+    """Return a shape in other units: its points, and the joint positions at capture."""
     capture = shape.capture
     if capture is not None:
         inverse = capture.inverse.copy()
@@ -178,8 +178,8 @@ def scaled(shape: Shape, factor: float) -> Shape:
 
 
 def _blended(values: Values, node: Node, entries: Mapping[str, Node], shape: Shape) -> Shape:
-    """A shape with the documented attributes of a base shape (names and channels), or of an input with in-between shapes (names
-    and weights)."""
+    """Return a shape with the documented blend attributes: of a base shape (names and channels), or of an input with in-between
+    shapes (names and weights)."""
     if "deformDualQuaternionBlendAttrib" in entries:
         name = values.text(entries["deformDualQuaternionBlendAttrib"], "the name of an attribute", empty=True)
         shape = replace(shape, dual_quaternion_blend=name or "")

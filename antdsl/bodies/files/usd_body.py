@@ -1,8 +1,9 @@
-"""A USD file as an agent definition by UsdSkel: skeletons are joints, skinned meshes shapes, blend shapes with their in-betweens
-shapes to blend with, animations clips.
+"""A USD file as an agent definition by UsdSkel: skeletons are joints, skinned meshes shapes, blend shapes and in-betweens blend
+shapes, animations clips.
 
-A skeleton's own place in the stage is a joint of the skeleton's name above its joints; a mesh that follows no joint has a joint
-of its own, where it stands. Units and axes are the stage's. This runs in the reader's process; `usd_definition` requests it."""
+The transform of a skeleton in the stage is a joint with the skeleton's name, above its joints. A mesh that follows no joint gets
+a joint at its own transform. Units and axes are those of the stage. This runs in the reader's process; `usd_definition` requests
+it."""
 
 from __future__ import annotations
 
@@ -35,7 +36,7 @@ LAYER = "body"
 
 @dataclass(slots=True)
 class _Skeleton:
-    """A skeleton's joints by the numbers that they have in the rig, by their paths."""
+    """A skeleton's joints: their numbers in the rig, by path."""
 
     prim: Any
     query: Any
@@ -45,7 +46,8 @@ class _Skeleton:
 
 @guarded
 def read_body(request: Message) -> Answer:
-    """The arrays that `packed` makes of the definition, and sentences `left_out` about what of the file is not read."""
+    """Return the arrays that `packed` makes of the definition, and sentences `left_out` about the parts of the file that are not
+    read."""
     said = request.document
     try:
         found, left_out = _definition(open_stage(request), str(said["prim"]), str(said["name"]), float(said["rate"]))
@@ -55,8 +57,8 @@ def read_body(request: Message) -> Answer:
 
 
 def _definition(stage: OpenStage, prim: str, name: str, rate: float) -> tuple[Definition, list[str]]:
-    """The definition at and below a prim, and sentences about what is not read. `rate`: samples a second of its animations, 0 for
-    those of the stage. BodyError says why there is none."""
+    """Return the definition at and below a prim, and sentences about what is not read. `rate`: samples per second of its
+    animations, 0 for the stage's own. Raises BodyError if there is none."""
     body = UsdBody(stage)
     bindings = list(_bindings(stage))
     skeletons = [_skeleton(body, skeleton, query) for skeleton, query, _ in bindings]
@@ -104,7 +106,7 @@ def _definition(stage: OpenStage, prim: str, name: str, rate: float) -> tuple[De
 
 
 def _bindings(stage: OpenStage) -> Iterator[tuple[Any, Any, list[Any]]]:
-    """Each skeleton with what UsdSkel knows of it and of the meshes that follow it, in the order of the file."""
+    """Yield each skeleton with its UsdSkel queries and those of the meshes that follow it, in file order."""
     skel, usd = pxr("UsdSkel"), pxr("Usd")
     cache, seen = skel.Cache(), set()
     predicate = usd.TraverseInstanceProxies()
@@ -144,7 +146,7 @@ def _skeleton(body: UsdBody, prim: Any, query: Any) -> _Skeleton:
 
 
 def column_matrix(matrix: Any) -> Floats:
-    """USD's matrix for rows of coordinates as float64[4, 4] for columns."""
+    """Return USD's matrix, which is for row vectors, as float64[4, 4] for column vectors."""
     return np.ascontiguousarray(np.array(matrix, np.float64).reshape(4, 4).T)
 
 
@@ -155,7 +157,7 @@ def _place(stage: OpenStage, prim: Any) -> Floats:
 
 
 def _skin(skeleton: _Skeleton, mesh: Any, target: Any) -> Skin:
-    """The joints that a mesh follows: names, and matrices from the mesh's space into that of each joint as it was bound."""
+    """Return the joints that a mesh follows: names, and matrices from the mesh's space to that of each joint in the bind pose."""
     own = pxr("UsdSkel").BindingAPI(mesh).GetJointsAttr().Get()
     paths = [str(path) for path in own] if own is not None and len(own) else skeleton.paths
     number = {path: count for count, path in enumerate(skeleton.paths)}

@@ -14,8 +14,8 @@ _SENTENCES = 10_000
 
 
 def read_usd(roots: Roots, text: str, prim: str, name: str, rate: float) -> tuple[Definition, list[str]]:
-    """The definition at and below a prim of a file, and sentences about what of it is not read. `rate`: samples a second of its
-    animations, 0 for those of the stage. UsdError or BodyError says why there is none."""
+    """Return the definition at and below a prim of a file, and sentences about what is not read. `rate`: samples per second of
+    its animations, 0 for the stage's own. Raises UsdError or BodyError if there is none."""
     stage = open_stage(roots, text, prim, up="y", frames=range(1), fps=Fraction(24))
     try:
         answer = stage.ask("usd-body", {"name": name, "rate": rate})

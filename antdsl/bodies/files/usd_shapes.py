@@ -23,7 +23,7 @@ _EXPORT = "export it again"
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Skin:
-    """The joints that a mesh follows, matrices from its space to theirs, and UsdSkel's own knowledge of its weights."""
+    """The joints that a mesh follows, matrices from its space to theirs, and UsdSkel's query of its weights."""
 
     names: tuple[str, ...]
     inverse: Floats
@@ -57,7 +57,7 @@ class UsdBody:
 
 
 def read_usd_shape(body: UsdBody, prim: Any, skin: Skin | None) -> Shape | None:
-    """The shape of a mesh prim, which is added to the library with what it blends with; None where it has no faces."""
+    """Return the shape of a mesh prim, and add it to the library with its blend shapes; None if it has no faces."""
     mesh, time = pxr("UsdGeom").Mesh(prim), body.stage.first
     points = _rows(mesh.GetPointsAttr().Get(time), 3)
     _counted(body, len(points))
@@ -127,7 +127,7 @@ def _normals(mesh: Any, prim: Any, time: Any, points: Floats, corners: Whole) ->
 
 
 def _uvs(prim: Any, time: Any, points: int, corners: Whole) -> Floats | None:
-    """Texture coordinates for each corner: those called `st`, else the first that there are."""
+    """Return texture coordinates for each corner: the primvar `st`, else the first that exists."""
     given = pxr("UsdGeom").PrimvarsAPI(prim).GetPrimvarsWithValues()
     known = [each for each in given if str(each.GetTypeName()) in ("texCoord2f[]", "texCoord2d[]", "texCoord2h[]", "float2[]")]
     known.sort(key=lambda each: each.GetPrimvarName() != "st")
@@ -150,7 +150,8 @@ def _of_corners(given: Any, interpolation: str, width: int, points: int, corners
 def _split(
     corners: Whole, triangles: Whole, attributes: dict[str, Floats | None]
 ) -> tuple[Whole, Whole, dict[str, Floats | None]]:
-    """The point of the file that each point of the shape is, triangles of the shape's points, and attributes of these."""
+    """Return the file's point of each point of the shape, triangles of the shape's points, and attributes of the shape's
+    points."""
     columns = [corners[:, None].astype(np.float64), *(each for each in attributes.values() if each is not None)]
     rows = np.concatenate(columns, axis=1)
     _, first, number = np.unique(rows, axis=0, return_index=True, return_inverse=True)
@@ -210,7 +211,7 @@ def _blend(body: UsdBody, shape: Shape, prim: Any, points: Floats, source: Whole
 
 
 def _moved(body: UsdBody, shape: Shape, name: str, source: Whole, points: Floats, rows: Whole, offsets: Any, turned: Any) -> str:
-    """Adds the shape that the offsets of some points make of a shape."""
+    """Add a copy of a shape with some points moved by offsets, and return its name."""
     _counted(body, len(source))
     moves = _rows(offsets, 3)
     right = len(moves) == len(rows) and (not len(rows) or (rows.min() >= 0 and rows.max() < len(points)))

@@ -1,4 +1,4 @@
-"""A measured case as tables for a terminal: set-up and the whole step, a column a backend, then its phases."""
+"""A measured case as tables for a terminal: set-up and the whole step, with one column per backend, then its phases."""
 
 from __future__ import annotations
 

@@ -56,7 +56,7 @@ def body_lines(body: Definition) -> Iterator[str]:
 
 
 def _spoken_lines(body: Definition) -> Iterator[str]:
-    """How programs and scenes write the names that they cannot write as they stand."""
+    """Yield the spelling, in programs and scenes, of names that the language cannot write unchanged."""
     named: list[tuple[str, Iterable[str]]] = [
         ("clip", body.clips), ("layer", body.layers), ("group", body.groups), ("channel", (c.name for c in body.rig.channels)),
         *((f"mark of {clip.name}", clip.marks) for clip in body.clips.values()),
@@ -116,7 +116,8 @@ def _played(body: Definition, clip: Clip) -> list[str]:
 
 
 def _closes(body: Definition, clip: Clip) -> bool:
-    """Whether a clip ends as it begins, to a thousandth of the body and of a turn, less the way that a stride goes."""
+    """Return whether a clip ends in its first pose, within a thousandth of the body length and of a turn. The displacement of its
+    stride is subtracted."""
     ends = ((part[0], part[-1]) for part in (clip.translation, clip.rotation, clip.scale) if len(part))
     near = [1e-3 * body.length + clip.stride, 1e-3, 1e-3]
     apart = [np.abs(a - b).max(initial=0.0) for a, b in ends]
@@ -135,7 +136,7 @@ def _short(text: str) -> str:
 
 
 def body_document(body: Definition | None, report: Report) -> str:
-    """The same as JSON: `body` is null where there is none; `findings` as `antdsl check --format json` has them."""
+    """Return the same as JSON: `body` is null if there is none; `findings` has the form of `antdsl check --format json`."""
     findings = json.loads(render(report, "json")) if shown(report) else None
     content: dict[str, Any] = {"format_version": "1.0", "valid": report.ok, "body": None, "findings": findings}
     if body is not None:

@@ -21,7 +21,7 @@ Programs = Sequence[tuple[Path, Program]]
 
 
 def _aligned(rows: Sequence[Sequence[str]]) -> Iterator[str]:
-    """Rows as lines, their columns below each other; the last one may be as long as it is."""
+    """Yield rows as lines with aligned columns; the last column is not limited in width."""
     widths = [max(len(row[k]) for row in rows) for k in range(len(rows[0]) - 1)]
     for row in rows:
         cells = [cell.ljust(width) for cell, width in zip(row, widths, strict=False)]
@@ -32,7 +32,7 @@ def _aligned(rows: Sequence[Sequence[str]]) -> Iterator[str]:
 
 
 def params_table(programs: Programs) -> Iterator[str]:
-    """The params under the first file that brings them."""
+    """Yield the params, each below the first file that has it."""
     listed: set[Span] = set()
     for file, program in programs:
         new = [param for param in program.params.values() if param.span not in listed]
@@ -45,7 +45,8 @@ def params_table(programs: Programs) -> Iterator[str]:
 
 
 def _param(param: Param) -> tuple[str, ...]:
-    """Name, default, unit, range and help; numbers in the unit that the author wrote, those of another kind as written."""
+    """Return name, default, unit, range and help. Numbers are in the author's unit; values of other kinds are as in the
+    source."""
     known = measure(param.unit) if param.unit else None
 
     def cell(value: Const | None) -> str:
@@ -66,7 +67,7 @@ def _param(param: Param) -> tuple[str, ...]:
 
 
 def cost_table(programs: Programs) -> Iterator[str]:
-    """What each state asks for, under the first file that brings its species, and what an agent takes in memory."""
+    """Yield the queries of each state and the memory of an agent, below the first file that has the species."""
     listed: set[Span] = set()
     for file, program in programs:
         new = [species for species in program.species.values() if species.span not in listed]
@@ -96,7 +97,7 @@ _KEPT = {"attribute": "attributes", "pair": "values per pair", "memory": "memory
 
 
 def _memory(program: Program) -> dict[str, str]:
-    """For each species a few words; none where the program cannot be turned into a plan yet."""
+    """Return a few words for each species; empty if the program cannot be compiled to a plan yet."""
     from antdsl import passes, plan
     from antdsl.plan.registers import memory
 
@@ -116,7 +117,7 @@ def _memory(program: Program) -> dict[str, str]:
 
 
 def import_table(files: Sequence[Path], reports: Mapping[Path, Report], choices: Choices) -> Iterator[str]:
-    """What was read of each mesh of the scenes among some files, and what was changed, also of scenes with errors."""
+    """Yield what was read of each mesh of the scenes among some files, and what was changed; also for scenes with errors."""
     from antdsl.pipeline import mesh_imports
     from antdsl.scene.geometry.import_notes import import_lines
 
@@ -146,7 +147,7 @@ def without(what: str, file: Path, report: Report) -> str:
 
 
 def work_table(file: Path, shot: Shot) -> Iterator[str]:
-    """What the world of a scene and its crowd have to allocate: counts and bytes, estimated before anything is made."""
+    """Yield the allocations of a scene's world and crowd: counts and bytes, estimated before anything is allocated."""
     from antdsl.cli.memory_demand import size_text, work_of
 
     works = work_of(shot)

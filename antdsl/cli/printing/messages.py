@@ -1,4 +1,4 @@
-"""Owns the terminal streams. A command finishes its work whatever state standard output and standard error are in: closed, full,
+"""Owns the terminal streams. A command finishes its work in any state of standard output and standard error: closed, full,
 broken, slow, or in an encoding that lacks a character."""
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ class Terminal(io.RawIOBase):
         self.backlog = bytearray()
 
     def write(self, data: Any) -> int:
-        """Write all of the data, or record why that is impossible. The number of bytes, always all."""
+        """Write all of the data, or record why that is impossible. Always returns the total number of bytes."""
         view = memoryview(data).cast("B")
         if self.is_unread:
             return len(view)
@@ -75,7 +75,7 @@ class Terminal(io.RawIOBase):
                 view = view[count:]
 
     def _is_ready(self, milliseconds: int = 0) -> bool:
-        """Whether a small write is possible now without blocking."""
+        """Return whether a small write is possible without blocking."""
         import select
 
         if not hasattr(select, "poll"):
@@ -129,7 +129,7 @@ def _reopen(number: int) -> None:
 
 
 def close_streams() -> OSError | None:
-    """Write what is buffered, waiting for readers. Why a part of the result on standard output was lost, if so."""
+    """Flush buffered output, and wait for readers. Return why a part of the result on standard output was lost, or None."""
     for stream in (sys.stdout, sys.stderr):
         stream.flush()
         terminal = _terminal(stream)
@@ -146,8 +146,8 @@ def _terminal(stream: TextIO) -> Terminal | None:
 
 @contextmanager
 def notes(stream: TextIO | None = None) -> Iterator[None]:
-    """What is printed meanwhile are notes: they do not delay the work, and a lost one does not change the exit code. `stream`:
-    standard output by default."""
+    """Treat everything printed in this context as notes: they do not delay the work, and a lost note does not change the exit
+    code. `stream`: standard output by default."""
     stream = sys.stdout if stream is None else stream
     terminal = _terminal(stream)
     if terminal is None or terminal.is_note:

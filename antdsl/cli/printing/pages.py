@@ -1,4 +1,4 @@
-"""Shows pages such as that of a code: laid out on a terminal, the Markdown as it is elsewhere."""
+"""Shows documentation pages, such as that of a code: formatted on a terminal, as Markdown elsewhere."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from antdsl.resources import code_page
 
 
 def show_page(code: str) -> None:
-    """Print the page of a known code; its meaning in one line where the pages were not installed."""
+    """Print the page of a known code; only its one-line meaning if the pages are not installed."""
     path = code_page(code)
     show(f"# {code}\n\n{CODES[code]}\n" if path is None else path.read_text(encoding="utf-8"))
 

@@ -1,5 +1,5 @@
-"""What a run spent its time on, as tables for a terminal: phases, layers, the dearest lines. Figures are whole in a
-terminal of 80 columns; what is too long for it is cut at its end."""
+"""The time of a run as tables for a terminal: phases, layers, and the most expensive lines. Numbers fit a terminal of 80 columns;
+longer text is cut at its end."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from rich.text import Text
 from antdsl.cli.printing.messages import say
 from antdsl.runtime.profiling import Profile
 
-MOST = 10  # lines that are told
+MOST = 10  # number of reported lines
 _FIGURE, _SHARE = 8, 3  # letters of a figure
 _PLACE = 28  # letters of a file and a line, at most
 _LEAST = 12  # letters of a text that are shown, however narrow the terminal
@@ -54,14 +54,14 @@ def _by(profile: Profile) -> str:
 
 
 def _short(file: str) -> str:
-    """A file by its last two names: a long way there would leave no room for figures."""
+    """Return the last two components of a file's path: a long path would leave no space for numbers."""
     return "/".join(Path(file).parts[-2:])
 
 
 def _table(
     console: Console, what: str, rows: Iterable[tuple[str, str, float]], whole: float, worked: Mapping[str, float] | None = None
 ) -> None:
-    """What there is of a kind: milliseconds, those of processors where they are known, and the share of the whole frame."""
+    """Print the rows of one kind: milliseconds, CPU milliseconds where known, and the share of the whole frame."""
     rows = list(rows)
     if not rows:
         return

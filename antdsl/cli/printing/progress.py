@@ -1,4 +1,4 @@
-"""How a run shows how far it is: a bar with frames a second and states on a terminal, a plain line now and then elsewhere."""
+"""Progress of a run: a bar with frames per second and states on a terminal, an occasional plain line elsewhere."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _ENCODES = "█"
 
 
 class Watch:
-    """Told of each frame; shows nothing by itself."""
+    """A listener for frames, which displays nothing; displays derive from it."""
 
     def __init__(self, recording: Recording) -> None:
         self.recording = recording
@@ -37,12 +37,12 @@ class Watch:
         return self.done / max(time.perf_counter() - self.began, 1e-6)
 
     def words(self) -> str:
-        """`search 312 · carry 45`: the states that somebody is in."""
+        """Return the states with agents: `search 312 · carry 45`."""
         return " · ".join(f"{name.split('.', 1)[1]} {count:,}" for name, count in states(self.recording).items() if count)
 
 
 class Lines(Watch):
-    """Plain lines, the first and the last frame always."""
+    """Plain lines of progress; always includes the first and the last frame."""
 
     def __init__(self, recording: Recording) -> None:
         super().__init__(recording)
@@ -86,7 +86,7 @@ class Bar(Watch):
 
 @contextmanager
 def set_up(quiet: bool) -> Iterator[None]:
-    """Meanwhile shows the stages of a set-up: on a line that goes away on a terminal, elsewhere a plain line now and then."""
+    """Show the stages of a set-up: on a temporary line on a terminal, as occasional plain lines elsewhere."""
     if quiet:
         yield
     elif fancy():
@@ -115,7 +115,7 @@ def _plain_stages() -> Callable[[str], None]:
 
 @contextmanager
 def progress(recording: Recording, quiet: bool) -> Iterator[Watch]:
-    """Something to tell of each frame, as fits the place where the run's words go; says where the cache is at the end."""
+    """Yield a watcher that shows each frame in the form that suits the output stream; print the cache's location at the end."""
     frames, preroll = recording.shot.frames, recording.shot.scene.model.preroll
     if recording.resumed_from is not None and not quiet:
         say(f"goes on after frame {recording.resumed_from}")
@@ -140,7 +140,7 @@ def progress(recording: Recording, quiet: bool) -> Iterator[Watch]:
 
 
 def fancy() -> bool:
-    """Whether a bar can be drawn where the words go."""
+    """Return whether the output stream can show a bar."""
     if not sys.stdout.isatty():
         return False
     try:
@@ -151,7 +151,7 @@ def fancy() -> bool:
 
 
 def _each(spent: Mapping[str, float], steps: int) -> str:
-    """Milliseconds a step, the longest first; what is next to nothing is left out."""
+    """Return milliseconds per step, the longest first; negligible ones are left out."""
     shares = sorted(((value / max(steps, 1), name) for name, value in spent.items()), reverse=True)
     return ", ".join(f"{name} {1000 * share:.1f}" for share, name in shares if share > 5e-5)
 

@@ -1,4 +1,4 @@
-"""Prints what the stages had to say, in the format asked for."""
+"""Printing of the findings of all stages, in the requested format."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ _FILES = frozenset(("cannot-read", "cannot-write", "no-such-file", "not-a-file",
 
 
 def show(report: Report, format: str = "full", *, to_stderr: bool = False) -> None:
-    """Print the complaints that no comment ignores; machine formats are printed even when there is none, so that a reader always
-    gets its document."""
+    """Print the findings that no comment ignores. Machine-readable formats are printed even without findings, so that a reader
+    always gets its document."""
     from antdsl.diagnostics.ignoring import without_ignored
     from antdsl.diagnostics.render import render
 
@@ -25,14 +25,14 @@ def show(report: Report, format: str = "full", *, to_stderr: bool = False) -> No
 
 
 def demand(report: Report) -> None:
-    """Print warnings and errors to standard error; leave with the exit code for errors when there are any."""
+    """Print warnings and errors to standard error; exit with the code for errors if there are any."""
     show(report, to_stderr=True)
     if not report.ok:
         raise Stop(verdict(report))
 
 
 def verdict(report: Report) -> Exit:
-    """The exit code for a report: a file that cannot be read or written is input and output, all else is found in a file."""
+    """Return the exit code for a report: input/output for a file that cannot be read or written, findings for everything else."""
     errors = [d for d in report.diagnostics if d.severity == "error"]
     if errors and all(d.span is None and d.code in _FILES for d in errors):
         return Exit.INPUT_OUTPUT

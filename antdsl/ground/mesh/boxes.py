@@ -1,4 +1,4 @@
-"""What short straight ways meet first, exactly, in float64: a tree of boxes over triangles names those that they may meet."""
+"""First hits of short straight paths, exact in float64: a tree of boxes over triangles lists the candidates."""
 
 from __future__ import annotations
 
@@ -33,14 +33,14 @@ class Tree(NamedTuple):
 
 
 class FaceList(NamedTuple):
-    """Room for numbers of faces, from one place of an array on."""
+    """Buffer for face numbers, from an index of an array on."""
 
     places: Array1[I64]
     begin: I64
 
 
 class BoxHit(NamedTuple):
-    """The first face on a path (-1 for none), after what part of it, and weights of the point."""
+    """The first face on a path (-1 for none), the part of the path before it, and the weights of the point."""
 
     face: I64
     part: F64
@@ -49,8 +49,9 @@ class BoxHit(NamedTuple):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Boxes:
-    """Triangles in the `order` of the smallest boxes, each around one, and the `bounds` (n, 6) of all boxes, least x, y, z and
-    most: those of level k, which hold `WIDE` of the level below each, from `first[k]` to before `first[k + 1]`."""
+    """Triangles in the `order` of the smallest boxes, one triangle each, and the `bounds` (n, 6) of all boxes: least x, y, z,
+    then greatest. The boxes of level k are `first[k]` to `first[k + 1]` (exclusive); each holds `WIDE` boxes of the level
+    below."""
 
     order: Index
     first: Index
@@ -58,8 +59,8 @@ class Boxes:
 
     @staticmethod
     def of(vertices: Floats, faces: NDArray[np.int32], live: Index, group: NDArray[np.int32]) -> Boxes:
-        """Over the `live` ones of triangles; those of one `group` int32[m] follow each other. Within it the order is that of
-        Morton, so that neighbours share boxes (Lauterbach et al., Fast BVH Construction on GPUs, 2009, p. 376-378)."""
+        """Build the tree of the `live` triangles; those of one `group` int32[m] are consecutive. Within a group they are in
+        Morton order, so that neighbours share boxes (Lauterbach et al., Fast BVH Construction on GPUs, 2009, p. 376-378)."""
         order = live[np.lexsort((_morton(vertices[faces[live]].mean(axis=1)), group[live]))]
         counts = [live.size]
         while counts[-1] > 1:
@@ -70,7 +71,7 @@ class Boxes:
         return boxes
 
     def fit(self, vertices: Floats, faces: NDArray[np.int32], since: int = 0) -> None:
-        """The same triangles elsewhere, but for those before `since` in the order, which have not moved: changes `bounds`."""
+        """Update `bounds` after the triangles moved; those before `since` in the order have not moved."""
         a, b, c = (vertices.take(faces[self.order[since:], k], axis=0) for k in range(3))
         ends = np.concatenate([np.minimum(np.minimum(a, b), c), np.maximum(np.maximum(a, b), c)], axis=1)
         self.bounds[since : self.first[1]] = ends
@@ -86,7 +87,7 @@ class Boxes:
         return Tree(self.order, self.first, self.bounds)
 
     def near(self, low: Floats, high: Floats) -> tuple[Index, Index]:
-        """Pairs of a box (3, k) asked about and a triangle whose box overlaps it."""
+        """Return pairs of a query box (3, k) and a triangle with a box that overlaps it."""
         asked, node = np.arange(low.shape[1]), np.zeros(low.shape[1], np.int64)
         if not self.order.size:
             return asked[:0], node[:0]
@@ -105,9 +106,9 @@ class Boxes:
 
 @called
 def gather(pieces: Array1[I32], boxes: Tree, one: Vec3, two: Vec3, size: F64, face: I64, piece: I64, found: FaceList) -> I64:
-    """Writes into `found`, an array and where in it to begin, the places in the order of all triangles, but `face` and those of
-    `piece`, whose boxes overlap a box: that around the points `one` and `two`, `size` mm larger. Returns how many. `boxes` are
-    the arrays of `Boxes`."""
+    """Write the triangles with boxes that overlap a query box into `found`, an array and a start index. Return how many. The
+    query box is that around the points `one` and `two`, `size` mm larger. Triangles are positions in the order of all triangles,
+    without `face` and those of `piece`. `boxes` are the arrays of `Boxes`."""
     order, first, bounds = boxes
     places, behind = found
     count, waiting = 0, 0
@@ -136,11 +137,11 @@ def gather(pieces: Array1[I32], boxes: Tree, one: Vec3, two: Vec3, size: F64, fa
 
 @called
 def first_of(table: Array1[F64], boxes: Tree, found: FaceList, count: I64, origin: Vec3, step: Vec3, fine: F64) -> BoxHit:
-    """The first triangle met of the first `count` in `found` (-1 for none), after what part of a way that goes on by `fine` mm,
-    and its weights there. `table` is `packed`.
+    """Return the first triangle hit of the first `count` in `found` (-1 for none), the part of the way before it, and its weights
+    there. The way is extended by `fine` mm. `table` is `packed`.
 
-    Met are triangles whose boxes overlap that of the way, from both sides, and by no way that lies in their plane; of two that
-    are met at once the first by number (Möller, Trumbore, Fast, Minimum Storage Ray/Triangle Intersection, 1997, p. 22-24)."""
+    A triangle is hit if its box overlaps that of the way, from both sides, but not by a way in its plane. Of two hit at once, the
+    first by number counts (Möller, Trumbore, Fast, Minimum Storage Ray/Triangle Intersection, 1997, p. 22-24)."""
     order, _, bounds = boxes
     places, behind = found
     face, part, b1, b2 = -1, np.inf, 0.0, 0.0
@@ -172,14 +173,14 @@ def first_of(table: Array1[F64], boxes: Tree, found: FaceList, count: I64, origi
 
 @inlined
 def _apart(bounds: Array2[F64], b: I64, low_x: F64, low_y: F64, low_z: F64, high_x: F64, high_y: F64, high_z: F64) -> BOOL:
-    """Whether a box does not overlap another one: asked along all axes at once, as one of the answers is as likely as another."""
+    """Return whether a box does not overlap another one. All axes are tested at once, as both results are equally likely."""
     x = (bounds[b, 0] > high_x) | (bounds[b, 3] < low_x)
     y = (bounds[b, 1] > high_y) | (bounds[b, 4] < low_y)
     return x | y | (bounds[b, 2] > high_z) | (bounds[b, 5] < low_z)
 
 
 def _morton(places: Floats) -> NDArray[np.uint64]:
-    """Places [n,3] numbered along a curve that keeps together what is near."""
+    """Return positions [n,3] numbered along a curve that preserves locality."""
     if not len(places):
         return np.empty(0, np.uint64)
     low = places.min(axis=0)

@@ -1,4 +1,4 @@
-"""Where bodies may meet a surface that rises before them: near inner creases, and where two pieces of a ground are close."""
+"""Where bodies may meet a surface that rises ahead of them: near inner creases, and where two pieces of a ground are close."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ _EXPONENT = 1022  # more than the power of two below which a number of these bit
 
 
 def inner_creases(table: Topology, corners: Floats) -> Index:
-    """Half-edges at which, for somebody on one side of a face, the face beyond rises more steeply than what counts as smooth."""
+    """Return half-edges at which, seen from one side of a face, the face beyond rises more steeply than a smooth edge."""
     found = np.zeros(table.link.shape[1], np.bool_)
     for side, sign in ((0, 1.0), (1, -1.0)):
         half = np.flatnonzero(table.link[side] != NO_LINK)
@@ -48,10 +48,9 @@ def inner_creases(table: Topology, corners: Floats) -> Index:
 
 
 class Creases:
-    """A grid that says of a place whether an inner crease, another piece or a face that cuts its own piece is within a reach.
+    """A grid that tells whether an inner crease, another piece or a face that cuts its own piece is within reach of a position.
 
-    `corners` float64[m,3,3] of the faces, the `table` of their topology, and which of them to mind.
-    """
+    `corners` float64[m,3,3] of the faces, the `table` of their topology, and which faces to consider."""
 
     def __init__(self, corners: Floats, table: Topology, minded: NDArray[np.bool_]) -> None:
         live = np.flatnonzero(table.live & minded)
@@ -61,12 +60,13 @@ class Creases:
         self._width = max(float(size.max()) / _ALONG, 1e-9)
         self._shape = np.floor(size / self._width).astype(np.int64) + 1
         self._first = int(np.frexp(self._width)[1])
-        self.reaches = (self._width, float(self._shape.max()) * self._width)  # least and greatest (mm) that are told apart
+        # least and greatest distance (mm) that is distinguished
+        self.reaches = (self._width, float(self._shape.max()) * self._width)
         self._of = (corners, table, minded)
 
     @cached_property
     def _grids(self) -> tuple[NDArray[np.bool_], Ints, Ints] | tuple[NDArray[np.bool_]]:
-        """The cells that something sharp is in, and of more pieces than one the least and the greatest in each cell."""
+        """The cells that contain a crease; and, if there are several pieces, the least and the greatest piece in each cell."""
         corners, table, minded = self._of
         live = np.flatnonzero(table.live & minded)
         half = inner_creases(table, corners)
@@ -91,9 +91,9 @@ class Creases:
         return found
 
     def near(self, rows: Index, rungs: Index, asked: int, place: Floats, threads: int) -> NDArray[np.bool_]:
-        """Which rows of places (n, 3) may have something of the kind near: of rung -1, or by the grid of their rung over that of
-        a cell; `asked` has a bit for each such rung that there is. Never false where there is something, and the same for a place
-        and a reach whoever else asks."""
+        """Return which rows of positions (n, 3) may have a crease, another piece or a cut nearby. Rows of rung -1 may; others are
+        tested by the grid of their rung over that of a cell. `asked` has a bit for each such rung. Never false where there is
+        one. The result for a position and a reach does not depend on the other queries."""
         for rung in range(asked.bit_length()):
             if asked >> rung & 1:
                 work = partial(close, rows, rungs, rung, place, self._low, self._width, self._within(self._first + rung))
@@ -102,7 +102,7 @@ class Creases:
         return found
 
     def _within(self, rung: int) -> NDArray[np.bool_]:
-        """Cells within 2**rung mm of something of the kind."""
+        """Return the cells within 2**rung mm of such a place."""
         if rung not in self._around:
             rings = int(min(np.ceil(np.ldexp(1.0, rung) / self._width) + 1, self._shape.max()))
             corners, table, minded = self._of
@@ -129,8 +129,8 @@ def _stored_clearance(corners: Floats, table: Topology) -> Floats:
 
 
 def clear_of_rises(corners: Floats, table: Topology) -> Floats:
-    """Of each face, float64[m], a distance (mm) from its places within which there is no inner crease and no other piece; 0 for
-    faces that cut their own piece, inf where there is nothing of the kind at all."""
+    """Return, for each face, float64[m], a distance (mm) within which there is no inner crease and no other piece. It is 0 for
+    faces that cut their own piece, inf if the ground has none of these."""
     from scipy.spatial import cKDTree
 
     middle = corners.mean(axis=1)
@@ -157,11 +157,11 @@ def clear_of_rises(corners: Floats, table: Topology) -> Floats:
 
 
 def _to_other_pieces(corners: Floats, piece: Ints, pieces: Index, middle: Floats, error: Floats) -> Floats:
-    """Of each face, float64[m], a distance (mm) from its `middle`, less an `error`, to faces of other `pieces`; inf for faces of
-    none.
+    """Return for each face, float64[m], a distance (mm) from its `middle`, less an `error`, to faces of other `pieces`; inf for
+    faces of none.
 
-    Each piece is a scene of rays of its own. A face is measured from the piece whose box is nearest, and then from those alone
-    whose boxes are nearer than what it found: about two of them, however many there are."""
+    Each piece is a separate scene of rays. A face is measured from the piece with the nearest box, and then only from pieces with
+    boxes nearer than that result. These are about two, however many there are."""
     found = np.full(len(corners), np.inf)
     own = [np.flatnonzero(piece == each) for each in pieces]
     low, high = (np.stack([ends(corners[rows], axis=(0, 1)) for rows in own]) for ends in (np.min, np.max))
@@ -190,15 +190,15 @@ def _to_other_pieces(corners: Floats, piece: Ints, pieces: Index, middle: Floats
 
 
 def _from_box(places: Floats, low: Floats, high: Floats) -> Floats:
-    """The distance of places (3, n) from a box; 0 within."""
+    """Return the distance of positions (3, n) from a box; 0 inside."""
     x, y, z = (np.maximum(np.maximum(a - p, p - b), 0.0) for p, a, b in zip(places, low, high, strict=True))
     away: Floats = np.sqrt(x * x + y * y + z * z)
     return away
 
 
 class RiseMap:
-    """Where a surface may rise before agents on a ground: `corners` float64[m,3,3] of its faces, the `table` of their topology,
-    and of each mesh that moves bool[m], which faces are its own."""
+    """Where a surface may rise ahead of agents on a ground: `corners` float64[m,3,3] of its faces, the `table` of their topology.
+    For each moving mesh, bool[m] marks its faces."""
 
     def __init__(self, corners: Floats, table: Topology, moving: Sequence[NDArray[np.bool_]]) -> None:
         still = np.ones(len(corners), np.bool_)
@@ -219,8 +219,8 @@ class RiseMap:
         moving: Sequence[tuple[Floats, Floats]],
         threads: int = 1,
     ) -> Index:
-        """As `MeshGround.rising`, for agents on a face of a mesh (-1: nowhere), which count from the `first` of each on, with the
-        lowest and highest corner of each mesh that moves."""
+        """As `MeshGround.rising`, for agents on a face of a mesh (-1: nowhere), numbered from each mesh's `first` on. `moving`
+        has the lowest and highest corner of each moving mesh."""
         if self._least > 0 and not moving and not np.fmax.reduce(reach, initial=0.0) >= self._least:
             return np.empty(0, np.int64)  # nothing rises so near to any face
         rows, rungs = np.empty((2, len(reach)), np.int64)
@@ -257,9 +257,9 @@ def candidates(
     begin: I64,
     end: I64,
 ) -> tuple[I64, I64, I64]:
-    """Gives `begin`, how many from there to before `end` stand on a face that is no further than `reach` from a rise, and which
-    rungs of `Creases` are asked, by bits from that of `width` on; from `begin` on their rows, and the rung of those whose face is
-    larger than their reach (-1 for others)."""
+    """Return `begin`, the number of agents to before `end` on a face within `reach` of a rise, and the rungs of `Creases` to
+    query. The rungs are bits, from that of `width` on. Write the rows of these agents from `begin` on. Write also the rung of
+    those on a face larger than their reach (-1 for others)."""
     count, asked = begin, 0
     lowest = _rung(width, width, whole)
     for i in range(begin, end):
@@ -289,8 +289,7 @@ def close(
     begin: I64,
     end: I64,
 ) -> None:
-    """Those of a rung, from `begin` to before `end`, who are in a cell that is `near` something become of rung -1, others of
-    -2."""
+    """Classify the agents of one rung among `begin` to `end` (exclusive): those in a `near` cell get rung -1, the others -2."""
     for k in range(begin, end):
         if rungs[k] != rung:
             continue

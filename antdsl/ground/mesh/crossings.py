@@ -1,4 +1,4 @@
-"""Where the own piece cuts the face that is walked on: the way goes on upon what cuts it, or ends there."""
+"""Where a piece cuts the face that an agent walks on: the path continues on the cutting face, or ends there."""
 
 from __future__ import annotations
 
@@ -18,13 +18,12 @@ LEANING = 1e3  # way along a face for each mm up, above which it is as good as l
 
 @called
 def crossed(surface: Surface, around: Surroundings, cuts: Cuts, walker: Walker, length: F64) -> Landing:
-    """The first face of the own piece that cuts the own face across a way: from there the way goes on upon it. It ends before the
-    other side of an open sheet, and where there is no room.
+    """Return the first face of the same piece that cuts the current face across the path; the path continues on it. The path ends
+    before the other side of an open sheet, and where there is no space.
 
-    No eye looks for it, for at a cut every height above the feet is in another room somewhere. Feet keep off what cuts their face
-    by more than a `touch` (mm) on the side they are on, which is a thousand times what float64 rounds: so they are always on one
-    side of it.
-    """
+    The search from above the ground cannot find it: near a cut, every height above the feet may lie behind another sheet. Feet
+    keep more than `touch` (mm) away from the cutting face, on their side. That is a thousand times the rounding of float64, so
+    their side is always certain."""
     table, link, f, side = surface.table, surface.link, walker.face, walker.side
     (first, others), touch = cuts, around.lengths.touch
     place, up, way = standing(table, walker)
@@ -46,7 +45,8 @@ def crossed(surface: Surface, around: Surroundings, cuts: Cuts, walker: Walker, 
         there = plus(place, times(way, before))
         if not _within(table, row, there, 4 * touch) or not _leads_through(table, link, f, side, other, begins, there, touch):
             continue
-        # Off what was left, or which side of it feet are on could not be told in the next step; so upon what is first there.
+        # Keep off the surface that was left: otherwise the next step could not tell on which side the feet are. So the face that
+        # is first at that distance counts.
         leans = -dot(up, normal) / (towards if towards != 0 else 1.0)
         late = before + OFF * touch * min(max(leans, -LEANING), LEANING)
         soonest = min(soonest, before)
@@ -79,7 +79,7 @@ def _in_frame(table: Array1[F64], row: I64, place: Vec3) -> tuple[F64, F64]:
 
 @inlined
 def _weights(table: Array1[F64], row: I64, place: Vec3) -> Weights:
-    """Weights of the point of a face below a place near it, in the triangle."""
+    """Return the weights of the point of a face below a nearby position, clamped to the triangle."""
     c, s = _in_frame(table, row, place)
     return inside(c * table[row + RATE1] - s * table[row + SHEAR] + 0.0, s * table[row + RATE2] + 0.0)
 
@@ -92,7 +92,7 @@ def _landing(table: Array1[F64], row: I64, place: Vec3) -> Weights:
 
 @inlined
 def _within(table: Array1[F64], row: I64, place: Vec3, touch: F64) -> BOOL:
-    """Whether a place in the plane of a face is in it, or no more than about `touch` mm beside it."""
+    """Return whether a position in the plane of a face is in it, or outside by at most about `touch` mm."""
     c, s = _in_frame(table, row, place)
     rate1, rate2, shear = table[row + RATE1], table[row + RATE2], table[row + SHEAR]
     b1, b2 = c * rate1 - s * shear, s * rate2
@@ -102,7 +102,8 @@ def _within(table: Array1[F64], row: I64, place: Vec3, touch: F64) -> BOOL:
 
 @inlined
 def _lowest(table: Array1[F64], face: I64, other: I64, sign: F64) -> F64:
-    """Height of the lowest corner of a face over the plane of another, whose upper side is that of its normal by `sign`."""
+    """Return the height of a face's lowest corner over the plane of another. The upper side of that plane is its normal times
+    `sign`."""
     row, there = WIDTH * face, WIDTH * other
     up = times(at(table, there + NORMAL), sign)
     first = dot(up, minus(at(table, row + CORNER), at(table, there + CORNER)))
@@ -113,8 +114,8 @@ def _lowest(table: Array1[F64], face: I64, other: I64, sign: F64) -> F64:
 def _leads_through(
     table: Array1[F64], link: Array2[I32], f: I64, side: F64, other: I64, begins: F64, there: Vec3, touch: F64
 ) -> BOOL:
-    """Whether a way that comes to the plane of another face from a height `begins`, at `there`, goes on behind it, or ends. Where
-    the own face only touches the other one, it may be folded back there into a wedge that has no room."""
+    """Return whether a path that reaches the plane of another face from height `begins`, at `there`, continues behind it or ends.
+    False where the current face only touches the other one and its neighbour folds back there, into a wedge without space."""
     sign = -1.0 if begins < 0 else 1.0
     if not _lowest(table, f, other, sign) >= -touch:
         return True
@@ -132,8 +133,8 @@ def _leads_through(
 
 @inlined
 def _tight(table: Array1[F64], cuts: Cuts, face: I64, own: I64, place: Vec3, off: Vec3, touch: F64) -> BOOL:
-    """Where three sheets meet: whether feet put upon a face at a place, and `off` from their own face, would be through a third
-    one or touch it. They stay where they are, then."""
+    """Return whether three sheets meet. Feet placed on a face at a position, `off` from their own face, would pass or touch a
+    third sheet; then they stay."""
     first, others = cuts
     found = False
     for k in range(first[face], first[face + 1]):

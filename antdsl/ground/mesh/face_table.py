@@ -1,4 +1,4 @@
-"""All numbers that a compiled walk needs of a face lie side by side: agents stand on faces in no order."""
+"""The numbers of a face that a compiled walk needs, contiguous in memory: agents stand on faces in no order."""
 
 from __future__ import annotations
 
@@ -20,7 +20,8 @@ OPEN = -2  # the link of a border beyond which there is nothing, see `open_borde
 
 
 def packed(table: Topology, mesh_of: NDArray[np.int32]) -> Floats:
-    """All numbers of each face side by side, float64[40 m], with the links of the normal's side and the mesh it is of."""
+    """Return the numbers of each face contiguously, float64[40 m], with the links of the normal's side and the mesh of the
+    face."""
     m = table.rate1.size
     space = np.empty(WIDTH * m + 8)
     start = -space.ctypes.data % 64 // 8
@@ -45,5 +46,5 @@ def pack(into: Floats, table: Topology, mesh_of: NDArray[np.int32], rows: slice)
 
 
 def mark_open(into: Floats, half: NDArray[np.int64], link: int) -> None:
-    """Write the link, NO_LINK or OPEN, of some half-edges without one into a packed table."""
+    """Write `link`, NO_LINK or OPEN, for some half-edges without a link into a packed table."""
     into.reshape(-1, WIDTH)[half // 3, EDGES + 4 * (half % 3) + LINK] = link

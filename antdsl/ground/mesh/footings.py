@@ -1,12 +1,12 @@
-"""Where footings are in the world and which way their faces point, of many in one pass, and how far agents may look out.
+"""Positions of footings and sides of their faces, many in one pass, and the search range of agents.
 
-Places are made from vertices, of which neighbours share most, so that less of memory is read than of a table of faces."""
+Positions are computed from vertices, which neighbours share, so that less memory is read than from a table of faces."""
 
 import numpy as np
 
 from antdsl.machine_code.kernels import BOOL, F64, I8, I32, I64, Array1, Array2, fetch_ahead, kernel
 
-_FETCHED = 64  # footings whose vertices are brought near at once
+_FETCHED = 64  # footings with vertices prefetched together
 
 
 @kernel
@@ -22,8 +22,8 @@ def places(
     over: Array1[F64],
     place: Array2[F64],
 ) -> BOOL:
-    """Write the place of each footing, [n,3], 0 for nowhere, and say whether all faces are there: they are `faces`, with a
-    `normal` (3, m), by mesh from `first` on. `vertices`: three numbers of each."""
+    """Write the position of each footing, [n,3], 0 for nowhere; return whether all face numbers are valid. Meshes have their
+    `faces`, with a `normal` (3, m), from `first` on. `vertices`: three numbers each."""
     for begin in range(0, mesh.size, _FETCHED):
         end = min(begin + _FETCHED, mesh.size)
         for n in range(end, min(end + _FETCHED, mesh.size)):
@@ -58,7 +58,8 @@ def places(
 def faced(
     mesh: Array1[I32], face: Array1[I32], first: Array1[I64], side: Array1[I8], found: Array1[I8], begin: I64, end: I64
 ) -> None:
-    """Write the side of each face from `begin` to before `end`, of those of its mesh, which begin at `first`; 0 for nowhere."""
+    """Write the side of the face of footings `begin` to `end` (exclusive); the faces of a mesh begin at `first`; 0 for
+    nowhere."""
     for n in range(begin, end):
         if mesh[n] >= 0 and face[n] >= 0:
             found[n] = side[first[mesh[n]] + face[n]]
@@ -68,8 +69,8 @@ def faced(
 
 @kernel
 def farthest(ways: Array2[F64], sizes: Array1[F64]) -> tuple[F64, F64]:
-    """The greatest square of ways (3, n) that are finite, 0 where none is; and the greatest of sizes, NaN where none is a
-    number."""
+    """Return the greatest squared length of the finite vectors (3, n), 0 if there is none; and the greatest of sizes, NaN if all
+    are NaN."""
     most, widest = 0.0, np.nan
     for k in range(sizes.size):
         square = (ways[0, k] * ways[0, k] + ways[1, k] * ways[1, k]) + ways[2, k] * ways[2, k]

@@ -1,4 +1,4 @@
-"""Open borders beyond which nobody finds anything: a walk goes on along them without looking."""
+"""Open borders with nothing beyond them: a walk goes on along them without looking."""
 
 from __future__ import annotations
 
@@ -19,13 +19,12 @@ _LEVEL = 1e-4
 
 
 def open_borders(table: Topology, boxes: Boxes, scale: Scale, widest: float) -> Index:
-    """Half-edges without a link on either side, from anywhere on which `beyond` leads bodies of up to `widest` mm nowhere.
-    Of a ground that is mostly borders, or fine beside its bodies, not all are found: looking for them would take long.
+    """Return half-edges without a link on either side, from which `beyond` finds no landing for bodies of up to `widest` mm. Not
+    all are found on a ground that is mostly borders, or has faces much finer than the bodies: that search would take long.
 
-    Its ways run in the plane across the edge, above or below the face but for where they leave its level beyond the border. So
-    they meet nothing where all other faces so near lie in the plane of the edge's own one, and none reaches out over the edge's
-    line: of those that go along that plane, and those beyond the line, none comes nearer than the gap to any of them.
-    """
+    The search paths of `beyond` lie in the plane across the edge, above or below the face, except beyond the border. They meet
+    nothing under two conditions: all other nearby faces lie in the plane of the edge's face, and none extends over the edge's
+    line. Paths along that plane, and those beyond the line, stay at least the gap away from these faces."""
     half = np.flatnonzero((table.link[0] == NO_LINK) & (table.link[1] == NO_LINK) & np.repeat(table.live, 3))[:_MOST]
     reach = 1.01 * ((HIGH + GAP) * float(np.fmax(widest, scale.least / LIFT)) + 4 * scale.fine)
     found, begin, many, left = [half[:0]], 0, 1, _PAIRS
@@ -39,7 +38,8 @@ def open_borders(table: Topology, boxes: Boxes, scale: Scale, widest: float) -> 
 
 
 def _open(table: Topology, boxes: Boxes, scale: Scale, reach: float, half: Index) -> tuple[NDArray[np.bool_], int]:
-    """Which of some half-edges are such, and how many pairs of one and a face within `reach` mm of its box are looked at."""
+    """Return which of some half-edges are open borders, and how many pairs of a half-edge and a face within `reach` mm of its box
+    were checked."""
     face, k = half // 3, half % 3
     one, other = _corners(table, face, (k + 1) % 3), _corners(table, face, (k + 2) % 3)
     asked, there = boxes.near(np.minimum(one, other) - reach, np.maximum(one, other) + reach)

@@ -1,5 +1,5 @@
-"""Where a mesh cuts through itself: the pairs of faces that do are found once; who walks on one of them crosses it where the
-other one cuts it and nowhere else, which is worked out exactly."""
+"""Places where a mesh cuts through itself. The pairs of faces that do are determined once. An agent that walks on one of them
+crosses the other exactly where it cuts, and nowhere else."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _MOST_CELLS = 1 << 20  # along an axis
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Cuts:
-    """Face f is cut by the faces `other[first[f]:first[f + 1]]` of its own piece, and cuts these."""
+    """Face f is cut by the faces `other[first[f]:first[f + 1]]` of the same piece, and cuts these."""
 
     first: Index
     other: Index
@@ -36,7 +36,7 @@ class Cuts:
         return np.diff(self.first) > 0
 
     def of(self, face: Index) -> tuple[Index, Index]:
-        """All faces that cut some faces: which of those asked each cuts, and its number."""
+        """Return all faces that cut some faces: the index of the queried face that each cuts, and its number."""
         count = np.diff(self.first).take(face)
         which = np.repeat(np.arange(face.size), count)
         step = np.arange(which.size) - np.repeat(np.cumsum(count) - count, count)
@@ -44,8 +44,8 @@ class Cuts:
 
 
 def cuts(corners: Floats, weld: Ints, piece: Ints, grain: float) -> Cuts:
-    """Of faces with corners float64[m,3,3] whose places are numbered by `weld` (m, 3), of the pieces int32[m] (-1 for none). What
-    comes nearer to a face than `grain` (mm) touches it, and what touches it counts."""
+    """Return the cuts between faces with corners float64[m,3,3], numbered by position in `weld` (m, 3), of the pieces int32[m]
+    (-1 for none). A face nearer to another than `grain` (mm) touches it, and touching counts."""
     flat = weld.ravel()
     one_place = np.zeros((int(flat.max(initial=-1)) + 1, 3))
     one_place[flat[::-1]] = corners.reshape(-1, 3)[::-1]  # corners that are nearly at one place do not cut what they belong to
@@ -56,7 +56,7 @@ def cuts(corners: Floats, weld: Ints, piece: Ints, grain: float) -> Cuts:
 
 
 def _pairs(corners: Floats, weld: Ints, piece: Ints, grain: float) -> tuple[Index, Index]:
-    """Pairs of faces of one piece, one of which has an edge that goes through the other, or ends or lies on it."""
+    """Return pairs of faces of one piece, of which one has an edge that crosses, ends on or lies on the other."""
     found = [np.empty((2, 0), np.int64)]
     normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     normal /= np.maximum(length(normal), 1e-300)[:, None]
@@ -91,7 +91,7 @@ def _pairs(corners: Floats, weld: Ints, piece: Ints, grain: float) -> tuple[Inde
 
 
 def _near(corners: Floats, live: Index) -> Iterator[tuple[Index, Index]]:
-    """Pairs of `live` faces whose boxes overlap, the lower number first; a pair may come more than once."""
+    """Yield pairs of `live` faces with overlapping boxes, the lower number first; a pair may occur more than once."""
     a, b, c = (np.ascontiguousarray(corners[:, k].T) for k in range(3))
     low, high = np.minimum(np.minimum(a, b), c), np.maximum(np.maximum(a, b), c)
     size = (high - low).max(axis=0)
@@ -109,7 +109,7 @@ def _near(corners: Floats, live: Index) -> Iterator[tuple[Index, Index]]:
 
 
 def _in_cells(corners: Floats, now: Index, smaller: Index, width: float) -> Iterator[tuple[Index, Index]]:
-    """Pairs of faces in one cell: of those that are looked at `now` with each other and with `smaller` ones."""
+    """Yield pairs of faces in one cell: of the current faces `now` with each other and with `smaller` ones."""
     listed = np.concatenate([now, smaller])
     if listed.size < 2:
         return
@@ -139,9 +139,9 @@ def _in_cells(corners: Floats, now: Index, smaller: Index, width: float) -> Iter
 
 
 def _pierces(start: Floats, end: Floats, triangle: Floats, grain: float) -> NDArray[np.bool_]:
-    """Whether edges go through triangles or touch them, but for `grain` mm (Möller, Trumbore, Fast, Minimum Storage Ray/Triangle
-    Intersection, 1997, p. 22-24). Of an edge in the plane of a triangle only the start is asked about: its end is another's
-    start, and where it goes across an edge of the triangle that one touches it."""
+    """Return whether edges go through triangles or touch them, up to `grain` mm (Möller, Trumbore, Fast, Minimum Storage
+    Ray/Triangle Intersection, 1997, p. 22-24). For an edge in the plane of a triangle only the start is tested. Its end is the
+    start of another, and an edge of the triangle that it crosses touches it."""
     a, e1, e2 = triangle[:, 0], triangle[:, 1] - triangle[:, 0], triangle[:, 2] - triangle[:, 0]
     normal = np.cross(e1, e2)
     size = length(normal)

@@ -1,4 +1,4 @@
-"""Stretches of a walk, each across one face, until something may be in the way or beyond a border."""
+"""Stretches of a walk, each across one face, until something may be in the path or beyond a border."""
 
 from __future__ import annotations
 
@@ -27,19 +27,20 @@ def frame(table: Array1[F64], row: I64) -> tuple[Vec3, Vec3, Vec3]:
 
 @inlined
 def laid_down(axis1: Vec3, axis2: Vec3, x: F64, y: F64, z: F64, c0: F64, s0: F64) -> tuple[F64, F64, F64]:
-    """A vector laid into a face: unit (c, s) in its frame, (c0, s0) where nothing finite is left, and its length (mm)."""
+    """Project a vector into a face: return unit (c, s) in its frame, or (c0, s0) if the projection is zero or not finite, and its
+    length (mm)."""
     c = axis1[0] * x + axis1[1] * y + axis1[2] * z
     s = axis2[0] * x + axis2[1] * y + axis2[2] * z
     flat = np.sqrt(c * c + s * s)
     if not (flat > 1e-150 and flat < np.inf):
         return c0, s0, 0.0
-    # Up to 60 degrees off the surface the length is kept; beyond, it falls steadily to nothing.
+    # Up to 60 degrees off the surface the length is preserved; beyond, it falls steadily to nothing.
     return c / flat, s / flat, min(np.sqrt(x * x + y * y + z * z), 2 * flat)
 
 
 @inlined
 def free(near: Clearances, f: I64, weights: Weights) -> F64:
-    """A distance (mm) within which a place has no other piece, see `Parts`; `reach` being enough."""
+    """Return a distance (mm) within which a position has no other piece, see `Parts`; at most `reach`."""
     n = near.counts[f]
     if n == 0:
         return near.reach
@@ -51,15 +52,15 @@ def free(near: Clearances, f: I64, weights: Weights) -> F64:
 def go(
     surface: Surface, near: Clearances, high: F64, looked: BOOL, along_open: BOOL, walker: Walker, progress: Progress
 ) -> tuple[Walker, Progress, Stop]:
-    """Across faces until the way is used up, or until an event. On stretches within whose length and `high` there may be another
-    piece it stops, but not on the first if `looked`. Where no stretch may meet another piece and it goes `along_open` borders, it
-    follows those beyond which there is nothing."""
+    """Walk across faces until the way is used up, or until an event. Stop at stretches that may have another piece within their
+    length and `high`, but not at the first if `looked`. Where no stretch may meet another piece and `along_open` is set, follow
+    borders with nothing beyond them."""
     table, link, forked, _ = surface
     f, (b1, b2), side, (c, s), (heading_c, heading_s) = walker
     left, gone, turn = progress
     event, edge, length, hops = 0, 0, 0.0, 0
     while turn < CROSSINGS and left > 0:
-        if turn >= STUCK:  # noqa: SIM102  # asked first: hardly anybody comes to it, and the rest of a division is dear
+        if turn >= STUCK:  # noqa: SIM102 # tested first: it is rarely true, and the remainder of a division is expensive
             if turn % STUCK == 0 and not looked:
                 b1 = b1 * (1 - GRAIN) + GRAIN / 3
                 b2 = b2 * (1 - GRAIN) + GRAIN / 3
@@ -113,7 +114,7 @@ def go(
 
 @inlined
 def along_border(edge: Direction, direction: Direction, left: F64) -> tuple[Direction, F64]:
-    """Along an open border, and the way that is left there."""
+    """Return the direction along an open border, and the distance left there."""
     (edge_c, edge_s), (c, s) = edge, direction
     along = c * edge_c + s * edge_s
     turn = -1.0 if along < 0 else 1.0
@@ -124,7 +125,7 @@ def along_border(edge: Direction, direction: Direction, left: F64) -> tuple[Dire
 def _cross(
     table: Array1[F64], beyond: I64, edge: I64, along: Direction, weights: Weights, side: F64, way: Direction, heading: Direction
 ) -> Walker:
-    """Into the face beyond an edge, which lies `along` a direction."""
+    """Return the agent in the face beyond an edge with direction `along`."""
     (c1, s1), (b1, b2), (c, s), (heading_c, heading_s) = along, weights, way, heading
     f, k2, flip = np.int64(beyond >> 3), (beyond >> 1) & 3, (beyond & 1) == 1
     b0 = 1.0 - b1 - b2
@@ -145,7 +146,7 @@ def _cross(
 
 @inlined
 def finish(table: Array1[F64], walker: Walker, over: F64) -> Pose:
-    """Place, smooth normal, transported heading and direction of travel in space."""
+    """Return position, smooth normal, transported heading and direction of travel in world space."""
     f, (b1, b2), side, (c, s), (heading_c, heading_s) = walker
     row = WIDTH * f
     b0 = 1.0 - b1 - b2
@@ -175,7 +176,7 @@ def finish(table: Array1[F64], walker: Walker, over: F64) -> Pose:
 
 @inlined
 def _turned(vx: F64, vy: F64, vz: F64, bx: F64, by: F64, bz: F64, ax: F64, ay: F64, az: F64) -> Vec3:
-    """A vector turned as the unit normal b turns into a; half a turn goes over the vector itself."""
+    """Return a vector rotated as unit normal b rotates into a; a half turn goes through the vector itself."""
     cosine = bx * ax + by * ay + bz * az
     if cosine < -1 + 1e-9:
         hx, hy, hz = by * vz - bz * vy, bz * vx - bx * vz, bx * vy - by * vx

@@ -1,5 +1,5 @@
-"""Surfaces that agents stand and walk on, any side up: a footing is a point of a triangle; one door,
-`MeshGround.move`, moves it."""
+"""Surfaces that agents stand and walk on, any side up: a footing is a point of a triangle. One interface, `MeshGround.move`,
+moves it."""
 
 from __future__ import annotations
 
@@ -25,11 +25,10 @@ from antdsl.numerics.vectors import dot
 
 
 class MeshGround:
-    """One or more surfaces, by name, in the order given: (vertices float64[n,3], faces int32[m,3]) in millimetres.
+    """One or more surfaces, by name, in the given order: (vertices float64[n,3], faces int32[m,3]) in millimetres.
 
-    An obstacle that may be climbed is a surface like any other. Meshes may overlap and need not be closed. With `by_rays` agents
-    do not walk over triangles but are put where rays hit: see `sticking`.
-    """
+    An obstacle that agents may climb is a normal surface. Meshes may overlap and need not be closed. With `by_rays` agents do not
+    walk over triangles but are placed at ray hits: see `sticking`."""
 
     def __init__(self, surfaces: Mapping[str, Mesh], by_rays: bool = False) -> None:
         self.names, self._by_rays = tuple(surfaces), by_rays
@@ -57,7 +56,7 @@ class MeshGround:
         self._boxes = Boxes.of(self._vertices, self._faces, np.flatnonzero(self._table.live), self._together())
         self._clearances = Clearances(corners, self._table.piece, self._table.cuts.cut, self.low, self._scale.noise)
         self._fast: Walk | None = None
-        self._rises: RiseMap | None = None  # where bodies look out for walls, found when somebody asks
+        self._rises: RiseMap | None = None  # where bodies may meet walls, computed on first use
 
     def _together(self) -> NDArray[np.int32]:
         """Numbers of faces: those of one move together."""
@@ -70,11 +69,10 @@ class MeshGround:
         return Footing.nowhere(n)
 
     def place(self, points: Floats, up: Floats, on: Iterable[str] | None = None) -> tuple[Footing, NDArray[np.bool_]]:
-        """Footings below points [n,3]: the first surface that a ray from far above along -`up` ([3] or [n,3]) meets.
+        """Return footings below points [n,3]: the first surface hit by a ray from far above along -`up` ([3] or [n,3]).
 
-        Where the ray meets nothing, the nearest point of the surfaces, and False in the second array. `on` names the surfaces
-        to stand on, all when None; KeyError for an unknown name. Without any surface all footings are nowhere.
-        """
+        If the ray hits nothing, the footing is the nearest point of the surfaces, with False in the second array. `on` names the
+        allowed surfaces, all if None; raises KeyError for an unknown name. Without any surface all footings are nowhere."""
         points = np.asarray(points, np.float64).reshape(-1, 3)
         up = np.broadcast_to(np.asarray(up, np.float64), points.shape)
         scene, live = self._scene(on)
@@ -100,44 +98,45 @@ class MeshGround:
         return self._footing(face, *self._table.weights(np.maximum(face, 0), place.T)), distance
 
     def met(self, origin: Floats, way: Floats, threads: int = 1) -> tuple[NDArray[np.bool_], Floats, Footing]:
-        """Whose straight way from `origin` [n,3] by `way` [n,3] meets a surface, after what part of it, and the footing there."""
+        """Return which straight ways from `origin` [n,3] by `way` [n,3] hit a surface, the part of the way before it, and the
+        footing there."""
         part, face = self._cast(np.asarray(origin, np.float64).T, np.asarray(way, np.float64).T, threads)
         found = face >= 0
         place = origin.T + way.T * np.where(found, part, 0.0)
         return found, np.where(found, part, 1.0), self._footing(face, *self._table.weights(np.maximum(face, 0), place))
 
     def faced(self, origin: Floats, way: Floats, threads: int = 1) -> tuple[Index, Floats, Floats]:
-        """Whose straight way from `origin` [n,3] by `way` [n,3] meets a surface: their numbers, ascending, after what part of it,
-        and the face's unit normal (3, k), by how it is wound."""
+        """Return the numbers, ascending, of straight ways from `origin` [n,3] by `way` [n,3] that hit a surface. Return also the
+        part of the way before it, and the face's unit normal (3, k), by its winding."""
         scene, live = self._scene(None)
         return scene.faced(origin, way, self._table.normal, live, threads)
 
     def position(self, footing: Footing) -> Floats:
-        """Places in the world, float64[n,3]; zero for footings nowhere. IndexError for a face that there is not."""
+        """Return positions in the world, float64[n,3]; zero for footings nowhere. Raises IndexError for an invalid face."""
         found, at = np.empty((len(footing), 3)), (footing.mesh, footing.face, footing.b1, footing.b2, footing.over)
         if not footings.places(self._vertices.reshape(-1), self._faces, self._table.normal, self._first, *at, found):
             raise IndexError("a footing is on a face that the ground does not have")
         return found
 
     def normal(self, footing: Footing) -> Floats:
-        """Unit normals of the faces, float64[n,3], by how the faces are wound; zero for footings nowhere."""
+        """Return unit normals of the faces, float64[n,3], by their winding; zero for footings nowhere."""
         face, known = self._faces_of(footing)
         if not self._faces.size:
             return np.zeros((len(footing), 3))
         return np.ascontiguousarray(np.where(known, self._table.normal.take(face, axis=1), 0.0).T)
 
     def sides(self, footing: Footing, threads: int = 1) -> NDArray[np.int8]:
-        """Which of six ways the faces' normals point most, int8[n]: 0 +x, 1 -x, 2 +y, 3 -y, 4 +z, 5 -z; 0 for nowhere."""
+        """Return the axis direction nearest to each face's normal, int8[n]: 0 +x, 1 -x, 2 +y, 3 -y, 4 +z, 5 -z; 0 for nowhere."""
         found = np.empty(len(footing), np.int8)
         on = (footing.mesh, footing.face, self._first, self._side)
         parallel.in_parts(partial(footings.faced, *on, found), len(footing), threads, parallel.LIGHT)
         return found
 
     def upright(self, footing: Footing, up: Floats) -> Floats:
-        """Smooth unit normals float64[n,3] on the side that `up` ([3] or [n,3]) points to; `up` itself for footings nowhere.
+        """Return smooth unit normals float64[n,3] on the side that `up` ([3] or [n,3]) points to; `up` itself for footings
+        nowhere.
 
-        A crease is not smoothed; away from creases the normal changes steadily along the surface, so a body does not jerk.
-        """
+        Creases are not smoothed. Elsewhere the normal is continuous along the surface, so that bodies do not jerk."""
         up = np.array(np.broadcast_to(np.asarray(up, np.float64), (len(footing), 3)).T, order="C")
         face, known = self._faces_of(footing)
         if not self._faces.size:
@@ -147,7 +146,7 @@ class MeshGround:
 
     @property
     def triangles(self) -> tuple[Floats, NDArray[np.int32], NDArray[np.int32], Topology]:
-        """All surfaces as one: vertices (n, 3), faces (m, 3), the surface that each is of by number, and their tables."""
+        """Return all surfaces as one: vertices (n, 3), faces (m, 3), the surface number of each face, and the topology."""
         return self._vertices, self._faces, self._mesh, self._table
 
     @property
@@ -156,24 +155,25 @@ class MeshGround:
         return self
 
     def on_faces(self, footing: Footing) -> tuple[Index, NDArray[np.bool_]]:
-        """The face of each footing, counted over all surfaces (0 for none), and whether it is on one."""
+        """Return the face of each footing, numbered over all surfaces (0 for none), and whether it is on one."""
         known = (footing.face >= 0) & (footing.mesh >= 0) & (footing.mesh < len(self.names))
         return np.where(known, self._first.take(np.where(known, footing.mesh, 0)) + footing.face, 0), known
 
     def rising(self, footing: Footing, place: Floats, reach: Floats, threads: int = 1) -> Index:
-        """The rows, ascending, of agents at places [n,3] for whom a surface may rise within `reach` [n] mm, if that is over 0: at
-        an inner crease, another piece, or a mesh that moves. All for whom one does, and the same whoever else is asked for."""
+        """Return the rows, ascending, of agents at positions [n,3] for which a surface may rise within `reach` [n] mm, if that is
+        over 0. It rises at an inner crease, another piece, or a mesh that moves. No such agent is missing, and the result for an
+        agent does not depend on the others."""
         if self._rises is None:
             self._rises = RiseMap(self._vertices[self._faces], self._table, [own for own, _, _ in self.boxes()])
         moving = [(low, high) for _, low, high in self.boxes()]
         return self._rises.rising(footing.mesh, footing.face, self._first, place, reach, moving, threads)
 
     def boxes(self) -> list[tuple[NDArray[np.bool_], Floats, Floats]]:
-        """Meshes that move, where they are now: which faces are theirs, lowest and highest corner."""
+        """Return the moving meshes at their current position: mask of their faces, lowest and highest corner."""
         return []
 
     def laid_out(self, face: Index, c: Floats, s: Floats) -> Floats:
-        """Vectors (3, n) in the world, from their parts along the two axes of their faces."""
+        """Return vectors (3, n) in the world, from their components along the two axes of their faces."""
         return self._table.in_space(face, c, s)
 
     # ---- moving
@@ -190,15 +190,14 @@ class MeshGround:
     ) -> Move:
         """Walk every agent along its surface by a displacement [n,3], on the side its `up` [n,3] points to.
 
-        The displacement is laid into the face and keeps its length, unless it points into the ground or off it by more than
-        60 degrees. The way unfolds across edges, so a slope neither speeds up nor slows down. A surface that stands in the way
-        (seen from a little above the ground, within the way) is climbed; what continues beyond an open border is stepped over to,
-        in as many steps as the way up or down takes, else the agent goes along the border or stops. `heading` [n,3] is turned as
-        the surface turns. `body` (mm) scales how high and far agents look. A displacement that is not finite counts as none.
+        The displacement is projected into the face and keeps its length, unless it is more than 60 degrees off the surface. The
+        path unfolds across edges, so a slope does not change the speed. A surface in the path (seen from slightly above the
+        ground, within the displacement) is climbed. At an open border the agent steps over to a surface that continues beyond, in
+        as many steps as the height takes. If there is none, it follows the border or stops. `heading` [n,3] rotates with the
+        surface. `body` (mm) scales how high and far agents search. A displacement that is not finite counts as zero.
 
-        With `straight` a way ends at an open border. Of the two readings of the thesis's surface pass (longer ray, nearest hit)
-        this takes the nearest surface along the way.
-        """
+        With `straight` a path ends at an open border. Of the two readings of the thesis's surface pass (longer ray, nearest hit),
+        this uses the nearest surface along the path."""
         n = len(footing)
         if not self._faces.size or not n:
             return _unmoved(footing, up, heading)
@@ -217,8 +216,8 @@ class MeshGround:
         return Move(moved, place.T, above.T, ahead.T, along.T, gone, blocked, moved.face < 0)
 
     def crowd_walk(self, longest: float, widest: float) -> CrowdWalk | None:
-        """The walk over triangles, for kernels that go on from it, of agents with ways and bodies so long (mm) at most;
-        None where they are put where rays hit, or where there is nothing to walk on."""
+        """Return the walk over triangles for kernels, for displacements up to `longest` and bodies up to `widest` (mm). None if
+        agents are placed by rays, or if there is nothing to walk on."""
         if self._by_rays or not self._faces.size:
             return None
         return self._walk().of_crowd(self._clearances, self._boxes, self._scale, longest, widest)
@@ -229,14 +228,14 @@ class MeshGround:
         return self._fast
 
     def _reach(self, wish: Floats, body: Floats) -> float:
-        """How far (mm) anybody looks out for other surfaces on a way."""
+        """Return how far (mm) agents at most look for other surfaces on a way."""
         most, widest = footings.farthest(wish, body)
         return float(sqrt(most) + LIFT * widest + 3 * self._scale.noise)
 
     # ---- parts
 
     def _cast(self, origin: Floats, step: Floats, threads: int) -> tuple[Floats, Index]:
-        """Where rays (3, k) hit within their step, as a part of it (inf = nowhere), and the face over all meshes (-1)."""
+        """Return where rays (3, k) hit within their step, as a part of it (inf = nowhere), and the face over all meshes (-1)."""
         scene, live = self._scene(None)
         which, t, mesh, local = scene.cast_within(origin.T, step.T, threads)
         part, face = np.full(origin.shape[1], np.inf), np.full(origin.shape[1], -1, np.int64)
@@ -245,7 +244,7 @@ class MeshGround:
         return part, face
 
     def _scene(self, on: Iterable[str] | None) -> tuple[RayScene, Index]:
-        """Rays against some surfaces, and the face that each face of that scene is."""
+        """Return rays against some surfaces, and the ground's face number of each face of that scene."""
         chosen = tuple(range(len(self.names))) if on is None else tuple(sorted(self.names.index(n) for n in self._known(on)))
         if chosen not in self._scenes:
             live = np.flatnonzero(self._table.live & np.isin(self._mesh, chosen))
@@ -267,7 +266,7 @@ class MeshGround:
         return result
 
     def _faces_of(self, footing: Footing) -> tuple[Index, NDArray[np.bool_]]:
-        """Number over all meshes, 0 where nowhere, and whether it is somewhere."""
+        """Return the face number over all meshes, 0 where nowhere, and whether the footing is on a face."""
         known = (footing.face >= 0) & (footing.mesh >= 0)
         if known.all():
             face: Index = self._first.take(footing.mesh) + footing.face
@@ -285,7 +284,7 @@ class MeshGround:
         return Footing.on_faces(mesh, local, *(np.where(known, v, 0.0) for v in (b1, b2, over)))
 
     def _smooth(self, face: Index, b1: Floats, b2: Floats) -> Floats:
-        """Smooth unit normals (3, n) by how the faces are wound."""
+        """Return smooth unit normals (3, n), by the faces' winding."""
         n = self._table.smooth.take(face, axis=1)
         v = n[:3] * (1.0 - b1 - b2) + n[3:6] * b1 + n[6:] * b2
         return v / np.sqrt(np.maximum(dot(v, v), 1e-300))

@@ -1,4 +1,4 @@
-"""How far agents on a surface are from any other piece of surface, at least: most need not look out for one on their way."""
+"""Lower bounds of the distance from agents on a surface to any other piece of surface: most agents need not search for one."""
 
 from __future__ import annotations
 
@@ -25,8 +25,8 @@ _MOST_PIECES = 500  # above it a face is a part, and is taken to be in touch
 
 @dataclass(frozen=True, slots=True)
 class Parts:
-    """Faces cut into `count[f]` by `count[f]` parts along their first and second edge, numbered from `first[f]`; 0 for faces that
-    have no other piece within `reach` mm. `least` is the distance (mm) within which a part has none."""
+    """Faces cut into `count[f]` by `count[f]` parts along their first and second edge, numbered from `first[f]`. `count` is 0 for
+    faces that have no other piece within `reach` mm. `least` is the distance (mm) within which a part has no other piece."""
 
     reach: float
     first: Index
@@ -35,11 +35,10 @@ class Parts:
 
 
 class Clearances:
-    """Lower bounds of the distance to the nearest other piece: a coarse grid of pieces says for which faces to measure it.
+    """Lower bounds of the distance to the nearest other piece: a coarse grid of pieces selects the faces to measure.
 
-    `corners` float64[m,3,3] of faces, their `piece` int32[m] (-1 for none), which are `cut` by others of their piece (these count
-    as another piece, in touch with all), the lowest corner `low`, and the `noise` (mm) of what is measured.
-    """
+    `corners` float64[m,3,3] of faces; `piece` int32[m] of each (-1 for none). Faces `cut` by others of their piece count as a
+    separate piece that touches all others. `low` is the lowest corner, `noise` (mm) the measuring error."""
 
     def __init__(self, corners: Floats, piece: NDArray[np.int32], cut: NDArray[np.bool_], low: Floats, noise: float) -> None:
         self.noise = noise
@@ -51,9 +50,10 @@ class Clearances:
         self._several = len(np.unique(piece[piece >= 0])) > 1
 
     def within(self, reach: float) -> Parts:
-        """Clearances that tell distances up to `reach` mm apart; kept, and measured anew when the reach has grown."""
+        """Return clearances that distinguish distances up to `reach` mm. They are cached, and measured again when the reach has
+        grown."""
         if self._parts is None or self._parts.reach < reach:
-            # Wider than asked, or a crowd that speeds up slowly would have it measured anew again and again.
+            # Wider than requested: otherwise a crowd that speeds up slowly would have it measured again and again.
             self._parts = self._measured(1.5 * reach if self._several else np.inf)
         return self._parts
 
@@ -83,7 +83,7 @@ class Clearances:
         return {"first": first, "count": count, "least": least.ravel()}
 
     def _apart(self, own: Index, others: Index, n: int, reach: float) -> Floats:
-        """Clearances of the n*n parts of faces from other faces, (k, n*n)."""
+        """Return the clearances of faces, each cut into n*n parts, from other faces, (k, n*n)."""
         a, b, c = (self._corners[own, k] for k in range(3))
         edge1, edge2 = (b - a) / n, (c - a) / n
         middle = np.arange(n) + 0.5
@@ -102,7 +102,7 @@ class Clearances:
         return clear
 
     def _near(self, reach: float) -> NDArray[np.bool_]:
-        """Faces that may have another piece within `reach` mm: those that lie in some cell that has two pieces around."""
+        """Return the faces that may have another piece within `reach` mm: those in a cell with two pieces nearby."""
         grid = self._pieces
         mixed = grid.mixed(int(min(np.ceil(reach / grid.width), grid.size.max())))
         found = np.zeros(len(grid.scaled), bool)
@@ -130,8 +130,8 @@ class Clearances:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _PieceGrid:
-    """The `least` and the greatest piece in each cell of a grid of `size` cells so wide (mm), and the corners of faces, `scaled`
-    to cells."""
+    """The `least` and the greatest piece in each cell of a grid, and the corners of faces, `scaled` to cells. The grid has `size`
+    cells of a given width (mm)."""
 
     width: float
     scaled: Floats
@@ -145,7 +145,7 @@ class _PieceGrid:
         return flat
 
     def mixed(self, rings: int) -> NDArray[np.bool_]:
-        """Cells that have two pieces within so many `rings`."""
+        """Return the cells that have two pieces within `rings` cells."""
         shape = tuple(self.size)
         least = least_around(self.least.reshape(shape), rings)
         most = greatest_around(self.most.reshape(shape), rings)

@@ -1,4 +1,5 @@
-"""What lies around walkers besides the next face of their surface: what stands in their way, what continues beyond a border."""
+"""The surroundings of walkers beyond the next face of their surface: obstacles in their way, and continuations beyond a
+border."""
 
 from __future__ import annotations
 
@@ -14,7 +15,7 @@ from antdsl.machine_code.kernels import BOOL, F64, I64, Array1, called, inlined
 from antdsl.numerics.kernel_vectors import Vec3, Weights, at, dot, inside, less, level, minus, more, nearest, plus, times, turned
 
 LIFT = 0.02  # of a body: how far above the surface an agent looks ahead
-STEEPEST = 8.0  # of that height is the way left at least: who climbs comes up by it besides
+STEEPEST = 8.0  # times that height is the way left at least: an agent that climbs also comes up by it
 GAP = 0.02  # of a body: how far beyond a border it looks for what continues there
 HIGH, DEEP = 0.5, 0.25  # of a body: how far above and below a border it looks, and how deep back
 NOISE = 1e-4  # of the extent of a ground: more than distances to other pieces err by
@@ -26,8 +27,8 @@ TURNED = -0.17  # cosine between two normals, of about 100 degrees: below it not
 
 @dataclass(frozen=True, slots=True)
 class Scale:
-    """Lengths in mm that depend on the size of a ground: NOISE, LEAST, FINE and TOUCH of it, and how far above feet what shows
-    its back may be and still be below them."""
+    """Lengths in mm that depend on the size of a ground: NOISE, LEAST, FINE and TOUCH times its extent. The last one is how far
+    above the feet a surface with its back towards them still counts as below."""
 
     noise: float
     least: float
@@ -45,7 +46,7 @@ class Scale:
 
 
 class Stance(NamedTuple):
-    """Where an agent is, which direction is up there, and its direction of travel."""
+    """An agent's position, local up direction and direction of travel."""
 
     place: Vec3
     up: Vec3
@@ -53,7 +54,7 @@ class Stance(NamedTuple):
 
 
 class Sight(NamedTuple):
-    """A face that is seen (-1 for none), weights, how far off on the eye's level, the look's direction, the eye's height."""
+    """A visible face (-1 for none), weights, distance at eye level, direction of view, and eye height."""
 
     face: I64
     weights: Weights
@@ -63,7 +64,7 @@ class Sight(NamedTuple):
 
 
 class Border(NamedTuple):
-    """The face and side that an agent leaves over a border, and which direction is up there."""
+    """The face and side that an agent leaves over a border, and the local up direction."""
 
     face: I64
     side: F64
@@ -72,8 +73,8 @@ class Border(NamedTuple):
 
 @called
 def other_ahead(table: Array1[F64], around: Surroundings, body: F64, walker: Walker, left: F64, length: F64) -> Landing:
-    """Another piece of surface within the way, seen from just above the ground; where the own piece lies before it, from a grain
-    above, as feet go under that."""
+    """Return another piece of surface within the path, seen from slightly above the ground. If the agent's own piece hides it, it
+    is searched from a minimal height, because feet would pass under the own piece."""
     pieces, boxes, found, f = around.sides.piece, around.boxes, around.found, walker.face
     least, fine = around.lengths.least, around.lengths.fine
     ground = standing(table, walker)
@@ -96,8 +97,8 @@ def other_ahead(table: Array1[F64], around: Surroundings, body: F64, walker: Wal
 
 @called
 def _seen(table: Array1[F64], around: Surroundings, n: I64, ground: Stance, length: F64, high: F64) -> Sight:
-    """Another piece within the way, seen from so high, below a low ceiling from half its height; or at the way's end between that
-    eye and the ground."""
+    """Return another piece within the path, seen from height `high`, or from half the height of a low ceiling. If there is none,
+    search at the path's end between that eye and the ground."""
     boxes, found, fine, under = around.boxes, around.found, around.lengths.fine, around.lengths.under
     place, up, way = ground
     roof, part, _ = first_of(table, boxes, found, n, place, times(up, high), fine)
@@ -116,7 +117,7 @@ def _seen(table: Array1[F64], around: Surroundings, n: I64, ground: Stance, leng
 
 @called
 def _hidden(table: Array1[F64], around: Surroundings, f: I64, ground: Stance, length: F64, high: F64, towards: Vec3) -> BOOL:
-    """Whether what is met from an eye so high is behind the own piece."""
+    """Return whether the agent's own piece hides what is seen from eye height `high`."""
     pieces, boxes, found, fine = around.sides.piece, around.boxes, around.found, around.lengths.fine
     place, up, way = ground
     step, piece = times(way, length), pieces[f]
@@ -136,13 +137,12 @@ def _hidden(table: Array1[F64], around: Surroundings, f: I64, ground: Stance, le
 
 @called
 def beyond(table: Array1[F64], around: Surroundings, body: F64, edge: I64, walker: Walker) -> Landing:
-    """Past an open border where an agent stands: what is met first on a way that leads up off the own face, out over the border
-    and down beyond it, and then back towards it from below, a little and deeper. Gives the face stepped over to, the way gone on
-    its level, and how high that is.
+    """Find the landing beyond an open border where an agent stands: the first hit of a search path. The path goes up from the
+    face, out over the border and down beyond it. It then returns from below, first at a small and then at a larger depth. Returns
+    the face to step onto, the distance at its level, and the height of that level.
 
-    Each part of that way begins where the one before it ended and goes no further than the first surface in it: so nothing
-    behind a sheet is stepped onto. It is as wide as the gap that is stepped over, on both sides of the border.
-    """
+    Each part of the path begins at the end of the one before, and stops at the first surface. So the agent never steps onto
+    anything behind a sheet. The path extends the width of the gap on both sides of the border."""
     sides, boxes, found, f = around.sides, around.boxes, around.found, walker.face
     pieces, least, fine = sides.piece, around.lengths.least, around.lengths.fine
     row = WIDTH * f
@@ -157,7 +157,7 @@ def beyond(table: Array1[F64], around: Surroundings, body: F64, edge: I64, walke
     n = gather(pieces, boxes, plus(place, lift), minus(place, lift), gap + 4 * fine, f, -1, found)
     if n == 0:
         return Landing(-1, (0.0, 0.0), 1.0, 0.0, 0.0, False)
-    hair = times(out, 2 * fine)  # besides a border that ends or begins exactly over or below the own one
+    hair = times(out, 2 * fine)  # an offset, beside a border that ends or begins exactly above or below this one
     roof, part, _ = first_of(table, boxes, found, n, plus(minus(place, hair), times(up, fine)), times(up, high - fine), 0.0)
     if roof >= 0:
         high = (fine + part * (high - fine)) / 2
@@ -215,7 +215,7 @@ def beyond(table: Array1[F64], around: Surroundings, body: F64, edge: I64, walke
 
 @inlined
 def landed(table: Array1[F64], walker: Walker, to: I64, to_side: F64) -> tuple[Direction, Direction]:
-    """Direction and heading in the frame of the face `to`, turned as the normal turns."""
+    """Return direction and heading in the frame of the face `to`, rotated with the normal."""
     row, there = WIDTH * walker.face, WIDTH * to
     before, after = times(at(table, row + NORMAL), walker.side), times(at(table, there + NORMAL), to_side)
     direction = _in_space(table, row, walker.direction)
@@ -248,14 +248,14 @@ def _in_space(table: Array1[F64], row: I64, direction: Direction) -> Vec3:
 
 @inlined
 def _side(table: Array1[F64], face: I64, towards: Vec3) -> F64:
-    """The side of a face that a way came from is the side to walk on."""
+    """Return the side of a face to walk on: the side that a path came from."""
     return -1.0 if dot(at(table, WIDTH * face + NORMAL), towards) > 0 else 1.0
 
 
 @called
 def _leads(table: Array1[F64], sides: Sides, border: Border, face: I64, towards: Vec3) -> BOOL:
-    """Whether one may step over a border to a face: not to the other side of what is walked on, nor to what turns back below it
-    as that side does."""
+    """Return whether an agent may step over a border to a face. It may not step to the other side of the surface it walks on, nor
+    to a face that turns back below it."""
     pieces, ways = sides
     there = _side(table, face, towards)
     here, other = 1 if border.side < 0 else 0, 1 if there < 0 else 0

@@ -1,5 +1,5 @@
-"""Triangles as a place to walk on: frames of faces, links across edges, pieces that hang together, and normals that are smooth
-where the surface is. Input is vertices float64[n,3] and faces int32[m,3] of one or more meshes, already joined."""
+"""Topology of triangles: frames of faces, links across edges, connected pieces, and smooth normals. Input is vertices
+float64[n,3] and faces int32[m,3] of one or more meshes, already joined."""
 
 from __future__ import annotations
 
@@ -28,14 +28,13 @@ _FLOATS = tuple(["corner", "edge1", "edge2", "normal", "axis1", "axis2", "rate1"
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Topology:
-    """Tables over all faces. Vectors are (3, m), so that one component is one contiguous array.
+    """Tables over all faces. Vectors are (3, m), so that each component is contiguous.
 
     A point of face f is `corner + b1 * edge1 + b2 * edge2`. `axis1 axis2 normal` is the face's frame; a direction (c, s) in it
-    changes b1 by `c * rate1 - s * shear` and b2 by `s * rate2`. Half-edge 3f+k lies opposite corner k; `edge_c edge_s` is its
-    direction in the frame, from corner k+1 to k+2. `link[side, 3f+k]` is what lies beyond for someone on the side of the
-    normal (0) or the other (1): 8 times the face, plus twice the corner that its half-edge lies opposite, plus one when that face
-    is wound the other way; or NO_LINK.
-    """
+    changes b1 by `c * rate1 - s * shear` and b2 by `s * rate2`. Half-edge 3f+k is opposite corner k; `edge_c edge_s` is its
+    direction in the frame, from corner k+1 to k+2. `link[side, 3f+k]` is the neighbour for an agent on the side of the normal (0)
+    or the other (1), or NO_LINK. Its value is 8 times the face, plus twice the corner opposite its half-edge, plus one if that
+    face has opposite winding."""
 
     live: NDArray[np.bool_]
     corner: Floats
@@ -63,7 +62,7 @@ class Topology:
         return self.axis1.take(face, axis=1) * c + self.axis2.take(face, axis=1) * s
 
     def weights(self, face: Index, place: Floats) -> tuple[Floats, Floats]:
-        """Weights of the point of each face below places (3, k) near it, in the triangle."""
+        """Return the weights of the point of each face below nearby positions (3, k), clamped to the triangle."""
         if not self.corner.shape[1]:
             return np.zeros(len(face)), np.zeros(len(face))
         off = place - self.corner.take(face, axis=1)
@@ -74,12 +73,12 @@ class Topology:
         return b1 / total, b2 / total
 
     def copy(self) -> Topology:
-        """One whose shape may be changed without changing this."""
+        """Return a copy; a change of its shape does not change this one."""
         return replace(self, **{name: getattr(self, name).copy() for name in _FLOATS})
 
 
 def build(vertices: Floats, faces: Ints, mesh: Ints, extent: float) -> Topology:
-    """Tables for faces whose `mesh` int32[m] says which mesh each is of; corners are joined within a mesh only. They are stored
+    """Return tables for faces; `mesh` int32[m] is the mesh of each. Corners are joined within a mesh only. The tables are stored
     for other runs."""
     inputs = (vertices, faces, mesh, extent)
     found = stored_tables.stored("topology", len(faces), inputs, partial(_tables, *inputs))
@@ -89,7 +88,7 @@ def build(vertices: Floats, faces: Ints, mesh: Ints, extent: float) -> Topology:
 
 
 def _tables(vertices: Floats, faces: Ints, mesh: Ints, extent: float) -> stored_tables.Tables:
-    """The arrays of `build`, by the names of the fields of `Topology`; of its cuts `first_cut` and `cut_by`."""
+    """Return the arrays of `build`, by the field names of `Topology`; of its cuts `first_cut` and `cut_by`."""
     a, b, c = (vertices[faces[:, k]] for k in range(3))
     weld = corner_numbers(vertices, faces, mesh, extent)
     live = live_faces(weld, a, b, c)
@@ -110,8 +109,8 @@ def _tables(vertices: Floats, faces: Ints, mesh: Ints, extent: float) -> stored_
 
 
 def repose(table: Topology, vertices: Floats, faces: Ints, rows: slice) -> None:
-    """Give the faces of `rows`, all those of a mesh, the shape that they have with other vertices; changes the table's arrays.
-    What hangs together stays as it was. A face that has lost its area keeps its way up and has no more than no width."""
+    """Update the shape of the faces in `rows`, all those of one mesh, for moved vertices; changes the table's arrays.
+    Connectivity stays. A face that lost its area keeps its normal and has zero width."""
     live, weld = table.live[rows], table.weld[rows]
     before = {name: getattr(table, name)[:, rows].copy() for name in ("normal", "axis1", "axis2")}
     edges = {name: getattr(table, name).reshape(-1, 3)[rows].copy() for name in ("edge_c", "edge_s")}
@@ -134,7 +133,7 @@ def repose(table: Topology, vertices: Floats, faces: Ints, rows: slice) -> None:
 
 
 def _shape(vertices: Floats, faces: Ints, weld: Ints, live: NDArray[np.bool_]) -> dict[str, Floats]:
-    """All of a table that depends on where the corners are, by the names in _FLOATS."""
+    """Return all parts of a table that depend on corner positions, by the names in _FLOATS."""
     a, b, c = (vertices[faces[:, k]] for k in range(3))
     edge1, edge2 = b - a, c - a
     across = np.cross(edge1, edge2)
@@ -167,10 +166,9 @@ def _edge_directions(length1: Floats, x2: Floats, y2: Floats) -> tuple[Floats, F
 
 
 def _links(vertices: Floats, faces: Ints, weld: Ints, live: NDArray[np.bool_]) -> Ints:
-    """What lies beyond each half-edge, for either side: the next face around the edge on that side.
+    """Return the neighbour of each half-edge for either side: the next face around the edge on that side.
 
-    Where more than two faces meet (a wall on a floor), this keeps an agent in the wedge it walks in.
-    """
+    Where more than two faces meet (a wall on a floor), this keeps an agent in the wedge it walks in."""
     m = len(faces)
     link = np.full((2, 3 * m), NO_LINK, np.int32)
     half = np.flatnonzero(np.repeat(live, 3))
@@ -210,7 +208,7 @@ def _links(vertices: Floats, faces: Ints, weld: Ints, live: NDArray[np.bool_]) -
 
 
 def _pieces(link: Ints, live: NDArray[np.bool_]) -> Ints:
-    """Which faces hang together, as a number per face, ascending from 0 with their first ones; -1 for those that are not live."""
+    """Return the connected pieces as a number per face, ascending from 0 by their first faces; -1 for faces that are not live."""
     half = np.flatnonzero(link[0] != NO_LINK)
     piece = components(np.stack([half // 3, link[0, half] >> 3], axis=1), len(live))
     result = np.full(len(live), -1, np.int32)
@@ -219,9 +217,9 @@ def _pieces(link: Ints, live: NDArray[np.bool_]) -> Ints:
 
 
 def _ways(link: Ints, live: NDArray[np.bool_], piece: Ints) -> Ints:
-    """Which sides of faces may be come to from each other, as a number per side and face (2, m): those that hang together across
-    edges. The two of a sheet do not, those of a Möbius strip do. A piece without an open border has an inside and an outside
-    that none can confuse, wherever it cuts itself: its sides have one number."""
+    """Return which sides of faces can be reached from each other, as a number per side and face (2, m): sides connected across
+    edges. The two sides of a sheet are separate, those of a Möbius strip are not. A piece without an open border has an
+    unambiguous inside and outside, even where it cuts itself: its sides share one number."""
     m = len(live)
     if not (link[0].reshape(-1, 3)[live] == NO_LINK).any():
         return np.zeros((2, m), np.int32)
@@ -239,8 +237,9 @@ def _ways(link: Ints, live: NDArray[np.bool_], piece: Ints) -> Ints:
 
 
 def _smooth_normals(vertices: Floats, faces: Ints, weld: Ints, live: NDArray[np.bool_], normal: Floats) -> Floats:
-    """Normals at the corners of faces, (9, m): the mean of the faces around, weighted by their angle there, without those
-    that meet this face in a crease (Thürmer, Wüthrich, Computing Vertex Normals from Polygonal Facets, 1998, p. 43-46)."""
+    """Return normals at the corners of faces, (9, m): the mean of the surrounding faces, weighted by their angle there. Faces
+    that meet this one in a crease are excluded (Thürmer, Wüthrich, Computing Vertex Normals from Polygonal Facets, 1998, p.
+    43-46)."""
     m = len(faces)
     corners = vertices[faces]
     weight = np.zeros((m, 3))
@@ -264,7 +263,8 @@ def _smooth_normals(vertices: Floats, faces: Ints, weld: Ints, live: NDArray[np.
 
 
 def _creased(corner: NDArray[np.int64], point: Ints, weight: Floats, normal: Floats) -> Floats:
-    """Normals of corners that lie sorted by their point, from those other corners there that meet theirs without a crease."""
+    """Return normals of corners, which are sorted by their point, from the other corners there that meet theirs without a
+    crease."""
     count = np.bincount(point[corner])[point[corner]]
     begin = np.searchsorted(point[corner], point[corner], side="left")
     one = np.repeat(np.arange(corner.size), count)
@@ -278,7 +278,7 @@ def _creased(corner: NDArray[np.int64], point: Ints, weight: Floats, normal: Flo
 
 
 def facing(normals: Floats) -> NDArray[np.int8]:
-    """Which of six ways normals [n,3] face most: 0 +x, 1 -x, 2 +y, 3 -y, 4 +z, 5 -z; the first of equals."""
+    """Return the axis direction nearest to each of normals [n,3]: 0 +x, 1 -x, 2 +y, 3 -y, 4 +z, 5 -z; the first of equals."""
     n = np.asarray(normals)
     axis = np.abs(n).argmax(axis=1)
     side: NDArray[np.int64] = 2 * axis + (n[np.arange(len(n)), axis] < 0)

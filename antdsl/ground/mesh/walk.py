@@ -1,7 +1,7 @@
-"""Walking over triangles: straight lines that unfold across edges, climb what stands in the way and stop at open borders. Exact
-in float64: the point never leaves its triangle, and the way walked is as long as asked.
+"""Walking over triangles: straight lines that unfold across edges, climb obstacles and stop at open borders. Exact in float64:
+the point never leaves its triangle, and the way walked is as long as requested.
 
-One loop goes over all agents. Who may meet anything but the next face of its own surface waits for a second loop."""
+One loop goes over all agents. Those that may meet anything but the next face of their own surface wait for a second loop."""
 
 from __future__ import annotations
 
@@ -45,17 +45,17 @@ from antdsl.numerics.kernel_vectors import Pose, Vec3, Weights, of, put
 from antdsl.numerics.kernel_vectors import inside as _inside
 from antdsl.numerics.parallel import own
 
-# What is kept of agents that wait: rows of an array of floats, and of one of whole numbers.
+# Values of agents that wait: rows of an array of floats, and of one of whole numbers.
 B1, B2, SIDE, C, S, HEADING_C, HEADING_S, LEFT, GONE, OVER, LENGTH, BODY, REALS = range(13)
 AGENT, FACE, TURN, SPENT, BLOCKED, NEAR, EVENT, EDGE, WHOLES = range(9)
 LEFT_OUT, DONE, WAITS = range(3)  # how it is with an agent after the first loop; `stride` leaves some out, for `walk_all`
-ROWS_AHEAD = 2  # eights of agents whose rows are brought near before theirs are read
-FETCHED = 64  # agents whose rows are brought near at once: as many as a processor's nearest memory holds
+ROWS_AHEAD = 2  # eights of agents by which rows are prefetched ahead
+FETCHED = 64  # agents with rows prefetched together: as many as a processor's nearest cache holds
 
 
 @inlined
 def bring_near(surface: Surface, mesh: Array1[I32], face: Array1[I32], begin: I64, end: I64) -> None:
-    """Have the rows of the faces brought near that agents from `begin` to before `end` stand on."""
+    """Prefetch the rows of the faces that agents from `begin` to before `end` stand on."""
     table, first = surface.table, surface.first
     for i in independent(begin, end):
         if mesh[i] >= 0:
@@ -80,8 +80,8 @@ def walked(
     heading: Vec3,
     up: Vec3,
 ) -> Walk:
-    """An agent's way over face `f` and those beyond its edges, from weights and so far `over` it, with its `size`, wish, heading
-    and up: where `go` leads to, `along_open` borders or not."""
+    """Walk an agent over face `f` and those beyond its edges, from weights and height `over` it, with its `size`, wish, heading
+    and up. Returns the result of `go`, with or without following open borders (`along_open`)."""
     axis1, axis2, normal = frame(surface.table, WIDTH * f)
     along_up = up[0] * normal[0] + up[1] * normal[1] + up[2] * normal[2]
     side = -1.0 if along_up < 0 else 1.0
@@ -104,8 +104,8 @@ def walked(
 
 @inlined
 def counted(how: Array1[U8], reals: Array2[F64], wholes: Array2[I64], begin: I64, end: I64) -> tuple[I64, I64]:
-    """How many of the agents from `begin` to before `end` wait, whose columns of `reals` and `wholes` are brought together from
-    `begin` on, and how many are left."""
+    """Return how many of the agents from `begin` to before `end` wait, and how many are left out. The columns of `reals` and
+    `wholes` of waiting agents are moved together, from `begin` on."""
     waiting, left = 0, 0
     for k in range(begin, end):
         if how[k] == WAITS:
@@ -134,12 +134,11 @@ def walk_all(
     begin: I64,
     end: I64,
 ) -> tuple[I64, I64, I64]:
-    """One step of the agents from `begin` to before `end`: says in `how` whether one was moved (DONE), or WAITS, in `reals` and
-    `wholes` (.., n) from `begin` on, and returns `begin`, how many wait, and 0 for those that are left out.
+    """Make one step of agents `begin` to `end` (exclusive). `how` says whether each was moved (DONE) or WAITS. Waiting agents are
+    in `reals` and `wholes` (.., n) from `begin` on. Returns `begin`, how many wait, and how many are left out (0 here).
 
-    `at`: where agents stand; then their body, wish, heading and up (3, n), and where the results go. A wish that is not finite
-    counts as none. Who is nowhere, or has weights that are not finite, is nowhere afterwards.
-    """
+    `at`: where agents stand; then their body, wish, heading and up (3, n), and the result arrays. A wish that is not finite
+    counts as zero. An agent that is nowhere, or has weights that are not finite, is nowhere afterwards."""
     mesh, face, b1s, b2s, overs = at
     first = surface.first
     wish, heading, up = vectors
@@ -183,7 +182,7 @@ def walk_on(
     begin: I64,
     end: I64,
 ) -> None:
-    """The same for agents that wait, from `begin` to before `end`. Ways end at open borders if they are to be `straight`."""
+    """Do the same for waiting agents, `begin` to `end` (exclusive). With `straight`, paths end at open borders."""
     table, first, boxes = surface.table, surface.first, known.boxes
     found = FaceList(known.room, own(begin, known.count, known.rooms) * boxes.order.size)
     around = Surroundings(known.sides, boxes, known.lengths, found)
@@ -260,7 +259,7 @@ def walk_on(
 
 @inlined
 def put_down(placed: Placed, i: I64, mesh: I64, face: I64, over: F64, walker: Walker) -> None:
-    """Where agent `i` stands after a walk: on a face of a mesh, so far `over` it on its side."""
+    """Write the footing of agent `i` after a walk: on a face of a mesh, at height `over` it on its side."""
     placed.mesh[i], placed.face[i], placed.over[i] = mesh, face, over * walker.side + 0.0
     placed.b1[i], placed.b2[i] = walker.weights
 
@@ -275,7 +274,7 @@ def _put(moved: Moved, i: I64, pose: Pose) -> None:
 
 @inlined
 def _margin(noise: F64, body: F64) -> F64:
-    """How near to its way (mm) a piece of surface must be to matter."""
+    """Return the distance (mm) from the path within which a piece of surface matters."""
     high = LIFT * body
     if not high > noise:
         high = noise
@@ -284,7 +283,7 @@ def _margin(noise: F64, body: F64) -> F64:
 
 @called
 def keep(reals: Array2[F64], wholes: Array2[I64], i: I64, body: F64, walk: Walk) -> None:
-    """Write down an agent that waits, who may have followed borders: of its HOPS they are SPENT, and it is BLOCKED by any."""
+    """Record an agent that waits. If it followed borders, these are SPENT of its HOPS, and it is BLOCKED."""
     high, over, walker, progress, stop = walk
     wholes[AGENT, i], wholes[SPENT, i], wholes[BLOCKED, i], wholes[NEAR, i] = i, stop.hops, stop.hops > 0, high > 0
     reals[BODY, i], reals[SIDE, i], reals[OVER, i], reals[LENGTH, i] = body, walker.side, over, stop.length
@@ -297,8 +296,8 @@ def keep(reals: Array2[F64], wholes: Array2[I64], i: I64, body: F64, walk: Walk)
 
 @inlined
 def _rise(over: F64, level: F64, left: F64, way: F64) -> tuple[F64, F64, F64]:
-    """Up or down over a border to a level (mm above the own face), as far as the way left lasts: where it leads, and the way left
-    and gone."""
+    """Rise or sink over a border to a level (mm above the current face), limited by the distance left. Returns the new height,
+    and the distance left and travelled."""
     most = level - over
     climb = min(abs(most), left)
     to = level if climb >= abs(most) else over + (-climb if most < 0 else climb)
@@ -307,7 +306,7 @@ def _rise(over: F64, level: F64, left: F64, way: F64) -> tuple[F64, F64, F64]:
 
 @inlined
 def _hung(table: Array1[F64], link: Array2[I32], walker: Walker) -> tuple[I64, BOOL]:
-    """The open border over which an agent steps, and whether it heads out over it."""
+    """Return the open border that an agent is stepping over, and whether it heads out over it."""
     f, (b1, b2), side, (c, s), _ = walker
     weights, edge, least = (1.0 - b1 - b2, b1, b2), 0, np.inf
     for k in range(3):

@@ -1,4 +1,4 @@
-"""A step of a crowd over triangles: a loop over all agents, and one over those that may come to something else."""
+"""A step of a crowd over triangles: a loop over all agents, and one over those that may meet another surface or a border."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ from antdsl.ground.mesh.topology import NO_LINK, Topology
 from antdsl.numerics import parallel
 
 Floats = NDArray[np.float64]
-_WAITING = 16  # agents who look out for other surfaces, for whom a thread pays
+_WAITING = 16  # agents that look for other surfaces, from which a thread pays
 
 
 @dataclass(frozen=True, slots=True)
 class Waiting:
-    """Of agents after the first loop: floats and whole numbers of those who wait, a column each, and how many are left."""
+    """Agents after the first loop: floats and integers of those that wait, one column each, and how many were left out."""
 
     reals: Floats
     wholes: NDArray[np.int64]
@@ -33,14 +33,14 @@ class Waiting:
 
     @staticmethod
     def of(parts: list[tuple[int, int, int]], reals: Floats, wholes: NDArray[np.int64]) -> Waiting:
-        """What kernels have found that have done the loop in parts."""
+        """Merge the results of kernels that ran the loop in parts."""
         own = parallel.joined(parts, reals, wholes)
         return Waiting(own[0], own[1], sum([left for _, _, left in parts]))
 
 
 class Walk:
-    """What the loops read: the `table` of faces with the mesh int32[m] of each and the first face of each mesh, `packed`
-    for it."""
+    """Input of the loops: the `table` of faces, the mesh int32[m] of each face, the first face of each mesh, and the `packed`
+    table."""
 
     def __init__(self, table: Topology, mesh: NDArray[np.int32], first: NDArray[np.int64]) -> None:
         self.table, self.first, self._mesh = table, first, mesh
@@ -50,18 +50,19 @@ class Walk:
         self._open, self._widest = np.empty(0, np.int64), -np.inf  # half-edges that are marked as open, for bodies so wide (mm)
 
     def changed(self, faces: slice) -> None:
-        """Some faces have another shape in the table: what is open changes with each, and is not looked for."""
+        """Update faces with a new shape. Open borders change with each new shape, so they are no longer searched."""
         if self._still:
             self._still = False
             mark_open(self.packed, self._open, NO_LINK)
         pack(self.packed, self.table, self._mesh, faces)
 
     def over(self, parts: Parts, boxes: Boxes, scale: Scale) -> CrowdWalk:
-        """That over surfaces of which `parts` say how far others are."""
+        """Return the walk with `parts`, which have the distances to other surfaces."""
         return CrowdWalk(self, parts, boxes, scale)
 
     def of_crowd(self, clearances: Clearances, boxes: Boxes, scale: Scale, longest: float, widest: float) -> CrowdWalk:
-        """That of agents with ways and bodies so long (mm) at most, which says how far the surfaces about them are."""
+        """Return the walk for displacements up to `longest` and bodies up to `widest` (mm), with the distances to surrounding
+        surfaces."""
         if self._still and widest > self._widest:
             # For wider ones than these, or a crowd that grows would have it done again and again.
             self._widest = 1.5 * widest
@@ -76,7 +77,7 @@ class Walk:
 
 @dataclass(frozen=True, slots=True)
 class CrowdWalk:
-    """A `walk` over surfaces of which `parts` say how far others are, `boxes` where, and a `scale` how near counts."""
+    """A `walk` with `parts` (distances to other surfaces), `boxes` (their locations) and a `scale` (tolerances)."""
 
     walk: Walk
     parts: Parts
@@ -84,7 +85,7 @@ class CrowdWalk:
     scale: Scale
 
     def tables(self) -> tuple[walkers.Surface, walkers.Clearances]:
-        """What kernels read of the faces, and of how far other surfaces are."""
+        """Return what kernels read: the faces, and the distances to other surfaces."""
         walk, parts = self.walk, self.parts
         surface = walkers.Surface(walk.packed, walk.table.link, walk.table.forked, walk.first)
         return surface, walkers.Clearances(parts.first, parts.count, parts.least, parts.reach, self.scale.noise)
@@ -98,8 +99,8 @@ class CrowdWalk:
         threads: int,
         straight: bool,
     ) -> None:
-        """Move agents with wish, heading and up (3, n) from footings `at` to the arrays of a result, `to`. Ways end at open
-        borders if they are to be `straight`."""
+        """Move agents with wish, heading and up (3, n) from footings `at` to the result arrays `to`. With `straight`, paths end
+        at open borders."""
         n = body.size
         how = np.empty(n, np.uint8)
         placed, moved, blocked = walkers.Placed._make(to[:5]), walkers.Moved._make(to[5:10]), to[10]
@@ -118,7 +119,7 @@ class CrowdWalk:
         threads: int,
         straight: bool = False,
     ) -> NDArray[np.int64]:
-        """Move those who wait to footings `placed` and poses `moved`, and say who is `blocked`; gives their rows."""
+        """Move waiting agents to footings `placed` and poses `moved`, and mark those that are `blocked`; return their rows."""
         reals, wholes = some.reals, some.wholes
         rows: NDArray[np.int64] = wholes[loop.AGENT]
         if not rows.size:

@@ -21,8 +21,8 @@ class Surface(NamedTuple):
 
 
 class Clearances(NamedTuple):
-    """Distances to other pieces, as `Parts` has them. An agent stays away from what is nearer than
-    its path, LIFT of its body and `noise`."""
+    """Distances to other pieces, as in `Parts`. An agent stays away from pieces nearer than its path plus LIFT of its body plus
+    `noise`."""
 
     first: Array1[I64]
     counts: Array1[I32]
@@ -32,14 +32,14 @@ class Clearances(NamedTuple):
 
 
 class Sides(NamedTuple):
-    """`piece` and `way` of the topology: the piece of each face, and of both sides of each face how they are connected."""
+    """`piece` and `way` of the topology: the piece of each face, and a connectivity number for both sides of each face."""
 
     piece: Array1[I32]
     way: Array2[I32]
 
 
 class Cuts(NamedTuple):
-    """Faces of the own piece that cut each face: `others` from `first[face]` to before `first[face + 1]`."""
+    """Faces of the same piece that cut each face: `others` from `first[face]` to `first[face + 1]` (exclusive)."""
 
     first: Array1[I64]
     others: Array1[I64]
@@ -55,7 +55,7 @@ class Lengths(NamedTuple):
 
 
 class Surroundings(NamedTuple):
-    """What is searched for other pieces, with room for all faces."""
+    """The data searched for other pieces, with a buffer for all faces."""
 
     sides: Sides
     boxes: Tree
@@ -74,7 +74,7 @@ class Walker(NamedTuple):
 
 
 class Progress(NamedTuple):
-    """How far an agent has to go and has gone (mm), and how many edges it has crossed."""
+    """The distance an agent has left and has travelled (mm), and how many edges it has crossed."""
 
     left: F64
     travelled: F64
@@ -91,8 +91,8 @@ class Stop(NamedTuple):
 
 
 class Landing(NamedTuple):
-    """The face that an agent continues on (-1 for none): weights, side, the distance to it, its height, and whether it stops
-    there."""
+    """The face that an agent continues on (-1 for none): weights, side, the distance to it, its height, and whether the agent
+    stops there."""
 
     face: I64
     weights: Weights
@@ -103,7 +103,8 @@ class Landing(NamedTuple):
 
 
 class Pieces(NamedTuple):
-    """What is searched for other pieces, with `room` for all faces in each of so many `rooms`, for a `count` of agents."""
+    """The data searched for other pieces. `room` is a buffer of `rooms` parts, each for all faces; `count` is the number of
+    agents."""
 
     sides: Sides
     cuts: Cuts
@@ -135,7 +136,8 @@ class Moved(NamedTuple):
 
 
 class Walk(NamedTuple):
-    """An agent during a walk, how near it looks out for other surfaces and how far over its face it is, both on its side (mm)."""
+    """An agent during a walk. `high` is the distance within which it looks for other surfaces, `over` that over its face, both on
+    its side (mm)."""
 
     high: F64
     over: F64

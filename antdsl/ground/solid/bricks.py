@@ -1,4 +1,5 @@
-"""Storage of a solid: a table of bricks and a pool of their nodes. Slot 0 is air, slot 1 undug solid; others are one brick's."""
+"""Storage of a solid: a table of bricks and a pool of their nodes. Slot 0 is air, slot 1 is undug solid; each other slot belongs
+to one brick."""
 
 from __future__ import annotations
 
@@ -30,11 +31,11 @@ class Unusable:
 
 @dataclass(slots=True)
 class Bricks:
-    """Node (i, j, k) lies at `origin + (i, j, k) * voxel` and belongs to brick (i // 16, ...); `table` gives the brick's slot.
+    """Distances of a solid's nodes. Node (i, j, k) lies at `origin + (i, j, k) * voxel` and belongs to brick (i // 16, ...);
+    `table` gives the slot of a brick.
 
-    `values` float32[slots * 4096] holds the distances of a slot's nodes, the last axis fastest, between `least` and `most`.
-    All nodes of the outermost layer are air, so that a place outside the grid has the distance of the nearest place in it.
-    """
+    `values` float32[slots * 4096] holds the distances of each slot's nodes, the last axis fastest, limited to `least` .. `most`.
+    All nodes of the outermost layer are air. So a point outside the grid has the distance of the nearest point in it."""
 
     origin: NDArray[np.float64]
     voxel: float
@@ -58,7 +59,7 @@ class Bricks:
 
     @property
     def step_volume(self) -> float:
-        """Volume of one step, mm³: cut to 16 binary digits, so that any count of steps times it is exact."""
+        """Volume of one step, mm³, rounded to 16 binary digits: any number of steps times this volume is exact."""
         fraction, exponent = np.frexp(self.voxel**3 / STEPS)
         return float(np.ldexp(np.round(np.ldexp(fraction, 16)), int(exponent) - 16))
 
@@ -74,7 +75,7 @@ class Bricks:
         return np.ascontiguousarray(whole.transpose(0, 3, 1, 4, 2, 5).reshape(self.nodes))
 
     def begin(self) -> None:
-        """Count what is solid and take this as the start."""
+        """Measure the solid volume and store it as the start value."""
         used = self.values[: self.used * CUBE]
         filled = filling(used, self.voxel).reshape(-1, CUBE).sum(axis=1, dtype=np.int64)
         self.steps = self.steps_at_start = int(filled.take(self.table).sum())
@@ -85,7 +86,7 @@ class Bricks:
         self.started = whole.digest()
 
     def open(self, bricks: Index) -> None:
-        """Make ready to write into bricks (each named once, ascending): from now on they have nodes of their own."""
+        """Prepare bricks for writing: each gets its own nodes. `bricks` are ascending, each once."""
         shared = bricks[self.table[bricks] < 2]
         for brick in bricks:
             if int(brick) not in self.touched:
@@ -110,7 +111,7 @@ class Bricks:
     # ---- keeping
 
     def digest(self) -> bytes:
-        """Equal for equal distances, whatever slots the bricks have; costs next to nothing."""
+        """Return a digest that is equal for equal distances, whatever slots the bricks have. It costs almost nothing."""
         counts = np.array([self.mark, self.steps], np.uint64)
         return sha256(self.started + counts.tobytes()).digest()
 
@@ -146,7 +147,7 @@ class Bricks:
         self.steps = int(arrays["steps"])
 
     def mark_fresh(self, bricks: Index) -> None:
-        """Some bricks changed: they and those before them, whose last cells reach into them, are meshed again."""
+        """Mark changed bricks for meshing, with those before them, because their last cells reach into the changed ones."""
         grid = self.fresh.reshape(self.shape)
         i, j, k = np.unravel_index(bricks, self.shape)
         for a in (0, 1):
@@ -156,8 +157,10 @@ class Bricks:
 
 
 def mixed(node: Index, distance: Distances) -> NDArray[np.uint64]:
-    """A number for the distance of a node, as good as drawn by lot (Steele, Lea, Flood, Fast Splittable Pseudorandom Number
-    Generators, 2014, p. 459): sums of them tell states apart, and change by what changed."""
+    """Return a pseudorandom number for each node and its distance (Steele, Lea, Flood, Fast Splittable Pseudorandom Number
+    Generators, 2014, p. 459).
+
+    The sum of these numbers distinguishes states. When nodes change, the sum changes by the difference of their numbers."""
     bits = np.ascontiguousarray(distance, np.float32).view(np.uint32).astype(np.uint64)
     x = (node.astype(np.uint64) << np.uint64(32)) ^ bits
     x *= np.uint64(0x9E3779B97F4A7C15)
@@ -168,7 +171,7 @@ def mixed(node: Index, distance: Distances) -> NDArray[np.uint64]:
 
 
 def filling(distance: NDArray[np.float32], voxel: float) -> NDArray[np.int32]:
-    """How full the voxels around nodes are, 0 .. 256: half at the surface, and all or nothing half a voxel from it."""
+    """Return how full the voxels around nodes are, 0 .. 256: half at the surface, empty or full from half a voxel away."""
     part = np.float32(0.5) - distance * np.float32(1.0 / voxel)
     steps: NDArray[np.int32] = np.round(np.clip(part, np.float32(0), np.float32(1)) * np.float32(STEPS)).astype(np.int32)
     return steps

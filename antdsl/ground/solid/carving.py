@@ -1,4 +1,5 @@
-"""Digging balls out of a solid: every node becomes the greatest of what it was and what the balls make it, in any order."""
+"""Digging balls out of a solid: each node takes the maximum of its old distance and the distances that the balls give it. The
+order of the balls does not matter."""
 
 from __future__ import annotations
 
@@ -31,7 +32,7 @@ _FULL = np.float32(STEPS)
 
 @dataclass(frozen=True, slots=True)
 class Reached:
-    """Nodes that balls change, one row for each ball and node: brick * 4096 + place in it, new distance, ball."""
+    """Nodes that balls change, one row per ball and node: brick * 4096 + index in the brick, new distance, ball."""
 
     nodes: Index
     values: Distances
@@ -59,7 +60,7 @@ def carve(bricks: Bricks, centres: Floats, radii: Floats, owners: Index) -> Floa
 
 
 def _meeting(bricks: Bricks, centres: Floats, radii: Floats) -> tuple[Index, Index]:
-    """Balls, ascending, that may reach into the grid, and for each how many voxels it reaches, rounded up."""
+    """Return the balls, ascending, that may reach into the grid, and the reach of each in voxels, rounded up."""
     local = (centres - bricks.origin) / bricks.voxel
     reach = (radii - bricks.least) / bricks.voxel
     with np.errstate(invalid="ignore"):
@@ -81,7 +82,7 @@ def _reached(bricks: Bricks, centres: Floats, radii: Floats) -> Reached:
 
 
 def _great(bricks: Bricks, centres: Floats, radii: Floats, ball: int) -> Pairs:
-    """What one great ball changes, brick by brick: memory for what is changed and no more."""
+    """Return the changes of one large ball, brick by brick, so that memory is needed for changed nodes only."""
     centre, radius = centres[ball], radii[ball]
     ends = []
     for axis in range(3):
@@ -119,7 +120,7 @@ def _small(bricks: Bricks, centres: Floats, radii: Floats, rows: Index, steps: I
 
 
 def _write(bricks: Bricks, at: Index, reached: Reached, count: int) -> Index:
-    """Put the greatest of the new distances into each node; gives the steps of volume that each ball took."""
+    """Store the maximum of the new distances in each node. Return the volume steps that each ball removed."""
     before = bricks.values.take(at)
     lost = np.zeros(count, np.int64)
     best = np.full(1 << (2 * at.size - 1).bit_length(), -1, np.int32)
@@ -132,7 +133,7 @@ def _write(bricks: Bricks, at: Index, reached: Reached, count: int) -> Index:
 
 @kernel
 def reach(bricks: Grid, all_balls: Balls, rows: Array1[I64], steps: Array1[I64], found: Changes) -> I64:
-    """Fill `found` with what each of the balls `rows` changes within `steps` voxels; gives how much."""
+    """Fill `found` with the changes of the balls `rows`, each within `steps` voxels. Return their number."""
     table, values, origin, voxel, shape, least, most = bricks
     centres, radii = all_balls
     nodes, news, balls = found
@@ -184,8 +185,11 @@ def write(
     best: Array1[I32],
     lost: Array1[I64],
 ) -> U64:
-    """Put the greatest new value in each place `at`, count what balls took in `lost`, and give the change of the bricks' mark.
-    `bits`: of the new distances and those `before`; `best`: a table of places, -1 all over, of a power of two of rows."""
+    """Store the greatest new value at each index `at`, count in `lost` what each ball removed, and return the change of the
+    bricks' mark.
+
+    `bits` are the bits of the new distances and of those `before`. `best` is a hash table of row numbers; its size is a power of
+    two, and all entries start at -1."""
     nodes, news, balls = found
     news_bits, before_bits = bits
     room = best.size

@@ -1,4 +1,5 @@
-"""How far nodes are from the nearest triangle, in a narrow band: exactly beside the triangles, from node to node beyond."""
+"""Distances of nodes from the nearest triangle, in a narrow band: exact next to triangles, propagated from node to node
+beyond."""
 
 from __future__ import annotations
 
@@ -21,12 +22,11 @@ _STEPS = ((1, 0, 0), (-1, 0, 0), (0, 1, 0), (0, -1, 0), (0, 0, 1), (0, 0, -1))
 
 
 def distances(shape: tuple[int, int, int], near: Index, corners: Floats, band: float) -> Distances:
-    """Distances (voxels) of the nodes of bricks `near`, float32[len(near) * 4096]; `FAR` for those beyond `band`.
+    """Return the distances (voxels) of the nodes of bricks `near`, float32[len(near) * 4096]; `FAR` for nodes beyond `band`.
 
-    `corners` float64[n,3,3] are the triangles in voxels. Nodes beside a triangle are measured to it; from there outwards, layer
-    by layer, each node to the nearest triangles of the nodes beside it (Bridson, Fluid Simulation for Computer Graphics, 2015,
-    section 4.2).
-    """
+    `corners` float64[n,3,3] are the triangles in voxels. Nodes next to a triangle are measured to it. From there outwards, layer
+    by layer, nodes are measured to their neighbours' nearest triangles (Bridson, Fluid Simulation for Computer Graphics, 2015,
+    section 4.2)."""
     field = _Field(shape, near, corners)
     for nodes, triangle in beside(corners):
         field.measure(nodes, triangle, False)
@@ -45,10 +45,9 @@ def _moved(columns: list[Index], step: tuple[int, ...]) -> list[Index]:
 
 
 def beside(corners: Floats) -> Iterator[tuple[list[Index], Index]]:
-    """Nodes near the plane of each triangle, and about as near to its outline: their columns, and the triangle.
+    """Yield the nodes near the plane of each triangle, and about equally near to its outline: their columns and the triangle.
 
-    Seen along the axis that its normal is nearest to, a triangle covers few lines of nodes, and few nodes of a line are near.
-    """
+    Along the axis nearest to its normal, a triangle covers few lines of nodes, and few nodes of each line are near."""
     edges = corners[:, [1, 2]] - corners[:, :1]
     normal = np.cross(edges[:, 0], edges[:, 1])
     axes = np.where(normal.any(axis=1), np.abs(normal).argmax(axis=1), -1)  # no area: the sides are those of others
@@ -80,7 +79,7 @@ def beside(corners: Floats) -> Iterator[tuple[list[Index], Index]]:
 
 
 def _over(flat: Floats, t: Index, u: Index, v: Index) -> Index:
-    """Which places are over their triangle (k, 3, 2) or near the lines through its sides."""
+    """Return the points that are over their triangle (k, 3, 2) or near the lines through its sides."""
     inside = np.ones(t.size, bool)
     turn = np.sign(
         (flat[:, 1, 0] - flat[:, 0, 0]) * (flat[:, 2, 1] - flat[:, 0, 1])
@@ -94,7 +93,7 @@ def _over(flat: Floats, t: Index, u: Index, v: Index) -> Index:
 
 
 class _Field:
-    """The nodes of some bricks: how far, and the triangle that was nearest."""
+    """The nodes of some bricks: their distances, and the triangle nearest to each."""
 
     def __init__(self, shape: tuple[int, int, int], near: Index, corners: Floats) -> None:
         self._shape = shape
@@ -107,7 +106,7 @@ class _Field:
         self.nearest = np.full(near.size * CUBE, -1, np.int32)
 
     def nearer(self) -> Index:
-        """Places that became nearer since this was asked last."""
+        """Return the places that became nearer since the last call."""
         found = np.flatnonzero(self._nearer)
         self._nearer[found] = False
         return found
@@ -120,7 +119,7 @@ class _Field:
         return [(b << 4) + w for b, w in zip(brick, within, strict=True)]
 
     def measure(self, nodes: list[Index], triangle: NDArray[np.integer], new: bool) -> None:
-        """Measure nodes to a triangle each, only those not known yet if `new`."""
+        """Measure each node to its triangle; with `new`, only the nodes without a distance."""
         parts = [
             self._measured([n[a : a + _PIECE] for n in nodes], triangle[a : a + _PIECE], new)
             for a in range(0, len(triangle), _PIECE)
@@ -149,14 +148,15 @@ class _Field:
         at, triangle = at[rows], triangle[rows]
         away = _away(self._triangles, triangle, [x[rows], y[rows], z[rows]])
         if not new:
-            # Beyond that another triangle, which was not asked, may be nearer.
+            # Beyond that, another triangle that was not tested may be nearer.
             sure = np.flatnonzero(away <= EXACT)
             at, away, triangle = at[sure], away[sure], triangle[sure]
         return at, away, triangle
 
 
 def _measures(corners: Floats) -> Floats:
-    """What measuring to a triangle needs, (27, n): corners, edges, edge normals in the plane, and inverse squares."""
+    """Return the triangle data for distance measurements, (27, n): corners, edges, edge normals in the plane, and inverse
+    squares."""
     a, b, c = (np.ascontiguousarray(corners[:, k].T) for k in range(3))
     edges = (b - a, c - b, a - c)
     normal = np.cross(edges[0], edges[1], axis=0)
@@ -171,7 +171,8 @@ def _measures(corners: Floats) -> Floats:
 
 
 def _away(measures: Floats, triangle: NDArray[np.integer], nodes: list[Index]) -> Distances:
-    """Distance of each node to its triangle: to the plane where the node is above the inside, else to the nearest edge."""
+    """Return the distance of each node to its triangle: to the plane where the node projects inside the triangle, else to the
+    nearest edge."""
     m = measures.take(triangle, axis=1)
     nx, ny, nz = m[0], m[1], m[2]
     inside: NDArray[np.bool_] | bool = True
@@ -196,7 +197,8 @@ def _away(measures: Floats, triangle: NDArray[np.integer], nodes: list[Index]) -
 
 
 def boxes(low: Index, count: Index, piece: int) -> Iterator[tuple[Index, Index, Index]]:
-    """All places of rectangles, from `low` (n, 2), `count` (n, 2) each way, about `piece` at once: the rectangle, the place."""
+    """Yield all lattice points of rectangles, about `piece` at once: the rectangle's number and the two coordinates of the point.
+    Rectangles start at `low` (n, 2) and have `count` (n, 2) points along each axis."""
     count = np.maximum(count, 0)
     rows = np.repeat(np.arange(len(low)), count[:, 0])
     u = low[rows, 0] + counted(count[:, 0])

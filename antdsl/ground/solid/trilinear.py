@@ -43,8 +43,8 @@ def field(bricks: Bricks, x: Floats, y: Floats, z: Floats) -> tuple[Floats, Floa
 
 
 def smooth(bricks: Bricks, x: Floats, y: Floats, z: Floats, lean: float = LEAN) -> list[Floats]:
-    """A gradient that changes steadily from place to place, unlike the field's own: differences along each axis, over `lean`
-    voxels either way."""
+    """Return a gradient that varies smoothly, unlike the field's own: differences along each axis over `lean` voxels in both
+    directions."""
     a = lean * bricks.voxel
     scale = 0.5 / a
     return [
@@ -55,13 +55,13 @@ def smooth(bricks: Bricks, x: Floats, y: Floats, z: Floats, lean: float = LEAN) 
 
 
 def _whole(*columns: Floats) -> list[Floats]:
-    """Columns as kernels take them: one after another in memory, all of one kind."""
+    """Return columns as kernels need them: contiguous in memory, all of one type."""
     return [np.ascontiguousarray(c, np.float64) for c in columns]
 
 
 @kernel
 def distances(bricks: Grid, places: Places, found: Array1[F64]) -> None:
-    """Fill `found` with the signed distance at places."""
+    """Fill `found` with the signed distances at points."""
     x, y, z = places
     for n in range(found.size):
         found[n] = distance_at(bricks[0], bricks[1], bricks[2:], (x[n], y[n], z[n]))
@@ -69,7 +69,7 @@ def distances(bricks: Grid, places: Places, found: Array1[F64]) -> None:
 
 @kernel
 def fields(bricks: Grid, places: Places, d: Array1[F64], gradient: Places) -> None:
-    """Fill `d` with the signed distance at places, and the others with its gradient."""
+    """Fill `d` with the signed distances at points, and `gradient` with the gradient there."""
     x, y, z = places
     gx, gy, gz = gradient
     for n in range(d.size):
@@ -91,7 +91,7 @@ def slope_at(table: Array1[I32], values: Array1[F32], grid: tuple[F64, F64, F64,
 
 @inlined
 def _rim(place: F64, low: F64, over: F64, nodes: I64) -> tuple[I64, F64]:
-    """The node below a place along one axis, and how far it is beyond."""
+    """Return the node below a point along one axis, and the offset of the point from that node."""
     at = (place - low) * over
     at = at if at >= 0.0 else 0.0
     at = min(at, nodes - 1.0)
@@ -103,8 +103,10 @@ def _rim(place: F64, low: F64, over: F64, nodes: I64) -> tuple[I64, F64]:
 def corners_at(
     table: Array1[I32], values: Array1[F32], grid: tuple[F64, F64, F64, F64, I64, I64, I64], p: Vec3
 ) -> tuple[tuple[F64, F64, F64, F64], tuple[F64, F64, F64, F64], Vec3]:
-    """Values at the corners of the cell that a place lies in, four and four, and where in it, 0 .. 1. A place outside, or that is
-    no number, counts as on the rim."""
+    """Return the values at the corners of the cell that contains a point, four and four, and the point's position in the cell, 0
+    .. 1.
+
+    A point outside the grid, or with NaN, counts as on the rim."""
     over = 1.0 / grid[3]
     i, fx = _rim(p[0], grid[0], over, grid[4] * 16)
     j, fy = _rim(p[1], grid[1], over, grid[5] * 16)
@@ -168,7 +170,7 @@ class Projected:
 
 
 def project(bricks: Bricks, points: Floats, hints: Floats, reach: float | None = None) -> Projected:
-    """As `Volume.project`; where nothing is found the point stays, with its hint."""
+    """Project points as `Volume.project` does; without a result, the point and its hint stay."""
     start = np.array(points, np.float64, order="C").reshape(-1, 3)
     hint = np.array(np.broadcast_to(np.asarray(hints, np.float64), start.shape), order="C")
     landed, turned, found = np.empty_like(start), np.empty_like(start), np.empty(len(start), np.bool_)
@@ -188,7 +190,7 @@ def settle(
     normals: Array2[F64],
     found: Array1[BOOL],
 ) -> None:
-    """As `settle_at`, of places and hints [n,3], into the last three arrays."""
+    """Apply `settle_at` to points and hints [n,3]; write the results to the last three arrays."""
     for i in range(found.size):
         p, hint = (start[i, 0], start[i, 1], start[i, 2]), (hints[i, 0], hints[i, 1], hints[i, 2])
         found[i], q, normal = settle_at(bricks[0], bricks[1], bricks[2:], p, hint, close)
@@ -200,11 +202,11 @@ def settle(
 def settle_at(
     table: Array1[I32], values: Array1[F32], grid: tuple[F64, F64, F64, F64, I64, I64, I64], p: Vec3, hint: Vec3, close: F64
 ) -> tuple[BOOL, Vec3, Vec3]:
-    """Whether the surface was found, a place within `close` (mm) of it and the normal there; those given where not.
+    """Return whether the surface was found, a point within `close` (mm) of it, and the normal there. Without a result, return `p`
+    and `hint`.
 
-    Each step is as long as the distance, a voxel at most where the gradient shows the way. Where the field is flat (the middle of
-    a cave, the depth of the solid) the way is along the hint: down in air, up in what is solid.
-    """
+    Each step is as long as the distance, but at most one voxel where the gradient gives the direction. Where the field is flat
+    (in the middle of a cave, deep in the solid), steps follow the hint: down in air, up in the solid."""
     voxel = grid[3]
     q = p
     if not np.isfinite(p[0] + p[1] + p[2]):

@@ -34,11 +34,11 @@ class Volume:
     def from_mesh(
         vertices: Floats, faces: NDArray[np.integer[Any]], voxel: float, *, cap: int = limits.VOXELS
     ) -> Volume | Unusable:
-        """The solid inside a closed mesh, vertices float64[n,3] mm and faces int[m,3], sampled every `voxel` mm.
+        """Return the solid inside a closed mesh, vertices float64[n,3] mm and faces int[m,3], sampled every `voxel` mm.
 
-        Inside is where the winding number is not 0 (parity, when faces are not wound alike). `cap` is the most voxels that the
-        mesh's bounding box may hold. What cannot be a solid (open mesh, too many voxels) is returned as `Unusable`.
-        """
+        Inside means that the winding number is not 0 (odd parity, when the faces have inconsistent winding). `cap` is the maximum
+        number of voxels in the mesh's bounding box. A mesh that cannot be a solid (open, too many voxels) is returned as
+        `Unusable`."""
         made = voxelising.voxelise(np.asarray(vertices, np.float64), np.asarray(faces, np.int64), float(voxel), cap)
         return made if isinstance(made, Unusable) else Volume(made)
 
@@ -49,7 +49,7 @@ class Volume:
 
     @property
     def band(self) -> tuple[float, float]:
-        """Least and greatest distance that is told, mm: deeper inside and farther outside the field is flat."""
+        """Least and greatest distance of the field, mm: deeper inside and farther outside it is flat."""
         return self.bricks.least, self.bricks.most
 
     def dense(self) -> NDArray[np.float32]:
@@ -58,7 +58,7 @@ class Volume:
 
     @property
     def low(self) -> Floats:
-        """Lowest corner of the grid, float64[3] mm: all that is solid lies between `low` and `high`."""
+        """Lowest corner of the grid, float64[3] mm. The complete solid lies between `low` and `high`."""
         return self.bricks.origin.copy()
 
     @property
@@ -68,7 +68,8 @@ class Volume:
     # ---- asking
 
     def sample(self, points: Floats) -> Distances:
-        """Signed distance float32[n] at points [n,3], trilinear; the band's ends far from the surface."""
+        """Return the trilinear signed distance float32[n] at points [n,3]. Far from the surface it is limited to the ends of the
+        band."""
         return trilinear.distance(self.bricks, *_columns(points)).astype(np.float32)
 
     def gradient(self, points: Floats) -> Distances:
@@ -76,14 +77,14 @@ class Volume:
         return self.sample_and_gradient(points)[1]
 
     def sample_and_gradient(self, points: Floats) -> tuple[Distances, Distances]:
-        """Both at once, for little more than one of them."""
+        """Return distance and gradient together, for little more than the cost of one."""
         distance, *gradient = trilinear.field(self.bricks, *_columns(points))
         return distance.astype(np.float32), np.stack(gradient).astype(np.float32).T
 
     def upright(self, points: Floats, otherwise: Floats) -> Floats:
-        """Unit normals float64[n,3] out of the solid that change steadily along the surface, for bodies to stand by.
+        """Return unit normals float64[n,3] out of the solid that vary smoothly along the surface. Bodies stand by these normals.
 
-        `otherwise` ([3] or [n,3]) where the field is flat."""
+        Where the field is flat, the result is `otherwise` ([3] or [n,3])."""
         slope = trilinear.smooth(self.bricks, *_columns(points))
         size = np.sqrt((slope[0] * slope[0] + slope[1] * slope[1]) + slope[2] * slope[2])
         clear = size > 1e-3
@@ -91,26 +92,25 @@ class Volume:
         return np.where(clear[:, None], unit, np.asarray(otherwise, np.float64))
 
     def project(self, points: Floats, hints: Floats, reach: float | None = None) -> trilinear.Projected:
-        """Places on the surface near points [n,3], with normals out of the solid.
+        """Return points on the surface near points [n,3], with normals out of the solid.
 
-        `hints` [n,3] are unit vectors out of the surface meant (an agent's up): a wall that faces the other way is not taken.
-        A place farther off than `reach` (mm, two voxels when None) is not taken either: see `found`.
-        """
+        `hints` [n,3] are unit vectors out of the intended surface (an agent's up): a wall that faces the other way is rejected. A
+        surface point beyond `reach` (mm, two voxels when None) is also rejected: see `found`."""
         return trilinear.project(self.bricks, points, hints, reach)
 
     # ---- digging
 
     def carve(self, centres: Floats, radii: Floats, owners: NDArray[np.int64]) -> Floats:
-        """Dig balls: centres [k,3] and radii [k] in mm, by owners int64[k]. Gives what each removed, float64[k] mm³.
+        """Dig balls, with centres [k,3] and radii [k] in mm, by owners int64[k]. Return the volume that each removed, float64[k]
+        mm³.
 
-        Each node becomes max(distance, radius - way to the centre), so order does not matter. What a voxel loses goes to the
-        ball that reaches deepest there, the least owner at a tie. The sum of what is given is `volume()` before less
-        `volume()` after, to the last bit.
-        """
+        Each node becomes max(distance, radius - distance to the centre), so the order does not matter. The loss of a voxel counts
+        for the ball that reaches deepest there; at a tie, for the lowest owner. The sum of the result is `volume()` before minus
+        `volume()` after, to the last bit."""
         return carving.carve(self.bricks, centres, radii, owners)
 
     def volume(self) -> float:
-        """Solid volume in mm³: each voxel counts in steps of 1/256, by how far its node is in."""
+        """Return the solid volume in mm³. Each voxel counts in steps of 1/256, by the depth of its node."""
         return self.bricks.steps * self.bricks.step_volume
 
     @property
@@ -121,21 +121,22 @@ class Volume:
     # ---- showing
 
     def surface(self, changed_only: bool = True) -> Iterator[tuple[int, Floats, NDArray[np.int32]]]:
-        """Triangles of the zero level by brick: (key, vertices float64[n,3] mm, faces int32[m,3] seen from the air).
+        """Yield the triangles of the zero level by brick: (key, vertices float64[n,3] mm, faces int32[m,3] seen from the air).
 
-        With `changed_only`, the bricks changed since the last time they were given (all, the first time); a brick without faces
-        has lost those it had. Vertices on a side that two bricks share have the same coordinates, so the pieces fit.
-        """
+        With `changed_only`, only bricks that changed since the last call are yielded (all bricks at the first call). A brick
+        without faces has lost its earlier ones. Vertices on a side that two bricks share have the same coordinates, so the pieces
+        fit."""
         return surface(self.bricks, changed_only)
 
     # ---- keeping
 
     def state(self) -> Arrays:
-        """What digging changed, as arrays by name: bricks that differ from those `from_mesh` made, and the count of steps."""
+        """Return the changes by digging, as arrays by name: the bricks that differ from those of `from_mesh`, and the number of
+        steps."""
         return self.bricks.state()
 
     def restore(self, arrays: Mapping[str, NDArray[Any]]) -> None:
-        """Back to a state of a volume made from the same mesh. ValueError when the arrays are not of such a one."""
+        """Restore a state of a volume made from the same mesh. Raises ValueError for arrays of another volume."""
         self.bricks.restore(arrays)
 
     def digest(self) -> bytes:
@@ -164,7 +165,7 @@ def surface(bricks: Bricks, changed_only: bool) -> Iterator[Piece]:
 
 
 def _reaching(bricks: Bricks) -> NDArray[np.bool_]:
-    """Bricks whose cells touch a node that is stored."""
+    """Return the bricks with cells that touch a stored node."""
     stored = (bricks.table >= 2).reshape(bricks.shape)
     reach = stored.copy()
     for axis in range(3):

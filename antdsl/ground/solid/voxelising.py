@@ -73,7 +73,7 @@ def _too_many(wanted: float, cap: float, voxel: float) -> Unusable:
 
 
 def _near(bricks: Bricks, corners: Floats) -> Index:
-    """Bricks, ascending, that may have a node in the band: those that the band around a brick's triangles reaches."""
+    """Return the bricks, ascending, that may have a node in the band around the triangles."""
     grid = np.zeros(bricks.shape, bool)
     wide = _OUT + 1.0
     for cells, _ in triangle_cells(corners / _BLOCK):
@@ -88,7 +88,7 @@ def _near(bricks: Bricks, corners: Floats) -> Index:
 
 
 def _fill(bricks: Bricks, shell: Shell, near: Index, corners: Floats) -> None:
-    """Distances of the bricks near the surface, signs of all."""
+    """Fill in the distances of the bricks near the surface, and the signs of all bricks."""
     flags, inside = brick_signs(shell, bricks.shape, near)
     away = distances(bricks.shape, near, corners, _OUT).reshape(-1, CUBE)
     np.minimum(away, np.float32(_OUT), out=away)
@@ -106,7 +106,8 @@ def _fill(bricks: Bricks, shell: Shell, near: Index, corners: Floats) -> None:
 
 
 class Shell:
-    """A mesh as integers, so that which side of a line a place is on has no doubt: from corners float64[n,3,3] in voxels."""
+    """A mesh with integer coordinates, so that the side of a line that a point is on is exact. It is built from corners
+    float64[n,3,3] in voxels."""
 
     def __init__(self, corners: Floats) -> None:
         self.corners, self.grain = grained(corners)
@@ -114,8 +115,10 @@ class Shell:
 
 
 def brick_signs(shell: Shell, shape: tuple[int, int, int], near: Index) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-    """Whether the first node of each brick is inside (all bricks), and whether each node is, bool[len(near), 4096], of some
-    bricks, ascending. Inside is where the winding number is not 0, or odd where faces are not wound alike."""
+    """Return whether the first node of each brick is inside (all bricks), and the same for each node of the bricks `near`
+    (ascending), bool[len(near), 4096].
+
+    Inside means that the winding number is not 0, or is odd where faces have inconsistent winding."""
     x, y, z, way = _crossings(shell)
     nodes = [n * SIDE for n in shape]
     slab = x >> 4

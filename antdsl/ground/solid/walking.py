@@ -1,4 +1,4 @@
-"""Walking on a solid: short steps along the tangent, each put back on the zero level, headings turned as the normal turns."""
+"""Walking on a solid: short steps along the tangent, each projected onto the zero level. Headings turn with the normal."""
 
 from __future__ import annotations
 
@@ -28,23 +28,22 @@ CROSSINGS = 400  # steps of one move
 STANCE = 0.4  # of a body: how far around its place the normal that it stands by looks, each way
 THIN = 0.1  # length of that gradient below which it says nothing: the normal of the place itself is taken
 
-_AHEAD = 16  # agents whose cells are fetched from memory at once
+_AHEAD = 16  # agents with cells prefetched together
 
 
 def move(
     volume: Volume, points: Floats, steps: Floats, heading: Floats, up: Floats, size: Floats | float, number: int = 0
 ) -> Move:
-    """Walk agents who stand on the zero level at `points` [n,3] by `steps` [n,3], laid into the surface and kept in length.
+    """Walk agents on the zero level at `points` [n,3] by `steps` [n,3], which are laid into the surface at the same length.
 
-    `up` [n,3] is the unit normal that each stood by, `heading` [n,3] where it looked. Steps turn from there into the surface
-    itself; a heading turns as the body tilts, and not with each crumb that is walked over. `size` (mm, one or [n]) is its body:
-    places stay within a ten-thousandth of it off the zero level. Who stands in air, because the ground was dug away, first goes
-    to the surface. A step that is not finite counts as none, and so does what of a step points off the surface by over
-    60 degrees.
+    `up` [n,3] is the unit normal that each stands by before, `heading` [n,3] where it looks. Steps turn from there into the
+    surface itself; a heading turns as the body tilts, and not with each crumb that is walked over. `size` (mm, one or [n]) is the
+    size of its body: positions stay within a ten-thousandth of it off the zero level. An agent in air, because the ground was dug
+    away, first goes to the surface. A step that is not finite counts as none. So does the part of a step that points off the
+    surface by over 60 degrees.
 
-    `up` of the result is the normal out of the solid that the body stands by, even over its length, so that it tilts before an
-    edge and does not jerk. Who is lost stays where it was. Footings are on the solid of this `number`.
-    """
+    `up` of the result is the outward normal that the body stands by, evened over its length. So the body tilts before an edge and
+    does not jerk. A lost agent stays where it was. Footings are on the solid of this `number`."""
     bricks = volume.bricks
     columns = [np.ascontiguousarray(np.asarray(v, np.float64).reshape(-1, 3).T) for v in (points, steps, heading, up)]
     count = columns[0].shape[1]
@@ -60,7 +59,7 @@ def move(
 
 
 def stance(bricks: Bricks, body: Floats) -> Floats:
-    """How far around a place a body's normal looks, voxels."""
+    """Return the radius in voxels around a point over which a body's normal is measured."""
     return np.maximum(body * (STANCE / bricks.voxel), LEAN)
 
 
@@ -78,8 +77,10 @@ def walk_all(
     blocked: Array1[BOOL],
     lost: Array1[BOOL],
 ) -> None:
-    """Move all agents. (3, n) where they stand, their steps, headings and up, how near to stay and how far around their normals
-    look; then where results go: place, up, heading and direction (4, 3, n), how far, and whether blocked or lost."""
+    """Move all agents. Inputs (3, n): positions, steps, headings and up vectors.
+
+    `close` is the tolerance to the surface, `lean` the radius over which normals are measured. Results: position, up, heading and
+    direction go to `found` (4, 3, n), the travelled distance to `gone`, and the flags to `blocked` and `lost`."""
     table, values = bricks[:2]
     grid = bricks[2:]
     for i in range(gone.size):
@@ -111,7 +112,7 @@ def _touch(
     first: I64,
     last: I64,
 ) -> F64:
-    """Read around the places of some agents, one read not waiting for the other; the sum says nothing."""
+    """Read the cells around the positions of some agents, so that no read waits for another. The returned sum has no meaning."""
     total = 0.0
     for i in range(first, last):
         a, b, _ = corners_at(table, values, grid, (points[0, i], points[1, i], points[2, i]))
@@ -120,7 +121,7 @@ def _touch(
 
 
 class Trip(NamedTuple):
-    """Where steps lead an agent: its place, normal and direction, how far it went, and whether it is blocked or lost."""
+    """Result of an agent's steps: position, normal, direction, travelled distance, and whether the agent is blocked or lost."""
 
     place: Vec3
     normal: Vec3
@@ -203,11 +204,12 @@ def _onto(
     length: F64,
     close: F64,
 ) -> tuple[Vec3, Vec3, F64]:
-    """Onto the zero level from the end of a way of `length` from `p`, which is on it: place, gradient and distance there.
+    """Project the end of a path of `length` from `p`, a point on the zero level. Return the point there, the gradient and the
+    distance.
 
-    By Newton; where the gradient leaps from cell to cell, as at a sharp edge, his steps may go to and fro and never arrive. But
-    just below the start it is solid and just above it is air: between one of these and a place lies the surface.
-    """
+    The method is Newton's. Where the gradient jumps between cells, as at a sharp edge, Newton steps may oscillate and never
+    converge. But just below the start is solid and just above it is air, so the surface lies between the point and one of
+    these."""
     voxel = grid[3]
     far = (p[0] + way[0] * length, p[1] + way[1] * length, p[2] + way[2] * length)
     q = far
@@ -251,7 +253,7 @@ def _turn(way: Vec3, before: Vec3, after: Vec3) -> Vec3:
 
 @called
 def _turned(v: Vec3, before: Vec3, after: Vec3, way: Vec3) -> Vec3:
-    """A vector turned by the least turn that takes one unit normal into the other; half a turn goes over `way`."""
+    """Return a vector rotated by the smallest rotation from one unit normal to the other. A half turn rotates over `way`."""
     cosine = dot(before, after)
     if cosine < -1 + 1e-9:
         hinge = cross(before, way)
@@ -269,7 +271,8 @@ def _turned(v: Vec3, before: Vec3, after: Vec3, way: Vec3) -> Vec3:
 
 @called
 def _laid(v: Vec3, normal: Vec3) -> tuple[Vec3, F64]:
-    """The unit vector across the normal, as near to v as can be, and how long v is across it."""
+    """Return the unit vector perpendicular to the normal and nearest to `v`, and the length of the component of `v` perpendicular
+    to the normal."""
     along = dot(v, normal)
     flat = (v[0] - along * normal[0], v[1] - along * normal[1], v[2] - along * normal[2])
     size = np.sqrt(dot(flat, flat))
@@ -284,7 +287,7 @@ def _laid(v: Vec3, normal: Vec3) -> tuple[Vec3, F64]:
 
 @inlined
 def _unit(v: Vec3, otherwise: Vec3) -> Vec3:
-    """The direction of a gradient; another one where the field is flat."""
+    """Return the direction of a gradient, or `otherwise` where the field is flat."""
     size = np.sqrt(dot(v, v))
     if not size > 1e-6:
         return otherwise

@@ -1,1 +1,1 @@
-"""What an editor asks for, one file a feature: completion, hover, definitions, symbols, hints, colours of words, actions."""
+"""Editor features, one per file: completion, hover, definitions, symbols, hints, semantic colours, actions."""

@@ -1,4 +1,4 @@
-"""Code actions: a complaint that says what to write instead, as an edit."""
+"""Code actions: a finding that suggests a replacement, as an edit."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def actions(workspace: Workspace, document: Document, start: int, end: int) -> l
 
 
 def edit_of(document: Document, complaint: Diagnostic) -> Edit | None:
-    """The edit behind a complaint: its fix, or the name that was meant where it stands on a single name."""
+    """Return the edit for a finding: its fix, or the suggested name if the finding covers a single name."""
     if complaint.fix is not None:
         span = complaint.fix.span
         return Edit(document.start(span), document.end(span), complaint.fix.text)

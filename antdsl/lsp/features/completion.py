@@ -1,4 +1,4 @@
-"""What may be written at a place of a program: states after `->`, units after a number, arguments inside brackets."""
+"""Completion at a position of a program: states after `->`, units after a number, arguments inside brackets."""
 
 from __future__ import annotations
 
@@ -173,7 +173,7 @@ def _use(request: Request) -> Iterator[Item]:
 
 
 def _amounts(request: Request) -> Iterator[Item]:
-    """What is taken or given: attributes of the animal's own."""
+    """Propose amounts to take or give: the animal's own attributes."""
     return own(request, assignable=True)
 
 
@@ -190,7 +190,7 @@ def _motion(request: Request) -> Iterator[Item]:
 
 
 def _changed(request: Request) -> Iterator[Item]:
-    """What a spec may set: params and settings of fields, with the value that they have."""
+    """Propose what a spec may set: params and settings of fields, with their current value."""
     for table in request.names.species.values():
         for name, member in table.own.items():
             if isinstance(member, nodes.ParamDecl):
@@ -207,13 +207,13 @@ def _with_value(name: str, value: nodes.Expr, help: nodes.Text | None) -> Item:
 
 
 def _some(request: Request) -> Iterator[Item]:
-    """Of what there may be none: an item or an animal."""
+    """Propose things that may be missing: an item or an animal."""
     yield from things("items")(request)
     yield from species(request)
 
 
 def _named(kind: str) -> Callable[[Request], Iterator[Item]]:
-    """What a statement may name, by the kind that its row says."""
+    """Return the function that proposes names for a statement, by the kind in its row."""
     others = {"field": fields, "event": _events, "species": species}
     return others.get(kind) or things(*KINDS_OF_THINGS[kind].serves)
 
@@ -239,7 +239,7 @@ _AFTER: tuple[tuple[str, Callable[[Request], Iterator[Item]]], ...] = (
 
 
 def _after_colon(request: Request) -> Iterator[Item]:
-    """After `name:`: a type where something is declared, a condition in a spec, a weight of `choose`."""
+    """Propose after `name:`: a type in a declaration, a condition in a spec, a weight in `choose`."""
     if request.context.rule in ("spec_line", "weight"):
         return values(request)
     return _types(request)

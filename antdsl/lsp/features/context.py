@@ -1,4 +1,4 @@
-"""Where in a program a place lies, from the text before it alone: which block, which call, which word of the line."""
+"""The context of a position in a program, from the text before it only: block, call, and word of the line."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ _CALLED = re.compile(r"([a-z_][a-z_0-9]*(?:\.[a-z_][a-z_0-9]*)?)\s*$")
 
 @dataclass(frozen=True, slots=True)
 class Block:
-    """An open brace: the rule that reads the lines behind it, and the line that opened it."""
+    """An open brace: the rule that reads the lines after it, and the line that opened it."""
 
     rule: str
     head: str
@@ -22,8 +22,8 @@ class Block:
 
 @dataclass(frozen=True, slots=True)
 class Context:
-    """`line`: the statement so far, without what is closed in it; `word`: the beginning of a word at its end; `called`: the
-    function whose brackets are open, with `given` the text between them so far."""
+    """The text before a position. `line`: the statement so far, without closed parts. `word`: the beginning of a word at its end.
+    `called`: the function with open brackets. `given`: the text between them so far."""
 
     blocks: tuple[Block, ...]
     line: str
@@ -37,7 +37,7 @@ class Context:
         return self.blocks[-1].rule if self.blocks else "top"
 
     def around(self, rule: str, word: str) -> str | None:
-        """The name of the block around of a kind: ("top", "species") gives `forager`."""
+        """Return the name of the enclosing block of a kind: ("top", "species") gives `forager`."""
         above = "top"
         for block in self.blocks:
             words = _HEAD.findall(block.head)
@@ -48,12 +48,12 @@ class Context:
 
 
 def begins_line(text: str, start: int) -> bool:
-    """Whether the word at `start` is the first of its statement; in a state's line `interrupt` goes before."""
+    """Return whether the word at `start` is the first of its statement; in a state's line, `interrupt` may precede it."""
     return context_at(text, start).line.strip() in ("", "interrupt")
 
 
 def context_at(text: str, offset: int) -> Context:
-    """The context of an offset. Whatever the text, an answer."""
+    """Return the context of an offset. It never fails, whatever the text."""
     blocks: list[Block] = []
     brackets: list[int] = []  # offsets of open round and square brackets in this statement
     begin, quiet = 0, False

@@ -139,7 +139,7 @@ def _state(workspace: Workspace, document: Document, key: Key) -> str | None:
 
 
 def _rests(workspace: Workspace, document: Document, key: Key, state: nodes.State) -> bool:
-    """Whether a state steers nothing where another state of its machine steers."""
+    """Return whether a state has no steering while another state of its machine steers."""
     found = declared(workspace, document, ("species", key[1]))
     members = found[1].node.members if found is not None else ()
     beside = next((m.members for m in members if isinstance(m, nodes.Machine) and m.name.text == key[2]), members)

@@ -11,7 +11,8 @@ from antdsl.source import Source
 
 
 def formatted(document: Document) -> list[Edit] | None:
-    """The edits to the one layout; none when it has it, None for a text with errors, which is left alone."""
+    """Return the edits that format a document; an empty list if it is formatted, None for a text with errors, which stays
+    unchanged."""
     made, _ = syntax.format(Source(str(document.path), document.text.text))
     if made is None:
         return None

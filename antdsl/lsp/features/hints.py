@@ -33,7 +33,7 @@ def hints(workspace: Workspace, document: Document) -> list[Hint]:
 
 
 def frame_rate(workspace: Workspace, document: Document) -> Fraction | None:
-    """The frames a second of the scenes that use a program, where they agree; None where nothing says so."""
+    """Return the frames per second of the scenes that use a program; None where they disagree or give none."""
     rates = set()
     for path in workspace.files():
         if path.suffix == ".ant" or document.path not in workspace.linked(path):

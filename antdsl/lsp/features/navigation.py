@@ -1,4 +1,4 @@
-"""From a name to where it is declared, to all places where it stands, and to another name in all of them."""
+"""Navigation from a name to its declaration, to all its occurrences, and to a new name in all of them."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ class Found:
 
 
 def declared(workspace: Workspace, document: Document, key: Key) -> tuple[Document, Declaration] | None:
-    """Where a symbol is declared: in the document itself before others."""
+    """Return where a symbol is declared. The document has priority over other files."""
     if key[0] in ("behaviour", "inner", "alias"):
         paths = [Path(key[1])]
     else:
@@ -81,7 +81,8 @@ def occurrence_at(document: Document, offset: int) -> Occurrence | None:
 
 
 def definition(workspace: Workspace, document: Document, offset: int) -> list[Found]:
-    """Where what stands at an offset is declared: in this file, in another, in the library; or the file that is named."""
+    """Return where the name at an offset is declared: in this file, another file or the library. If a file is named, return that
+    file."""
     found: dict[tuple[Path, int], Found] = {}
     for occurrence in document.at(offset):
         key = occurrence.key
@@ -102,7 +103,7 @@ def definition(workspace: Workspace, document: Document, offset: int) -> list[Fo
 
 
 def _items(workspace: Workspace, document: Document, name: str) -> Iterator[Found]:
-    """Where scenes give a name to an item: this one, and those that it extends or that extend it."""
+    """Yield where scenes name an item: this scene, and those that it extends or that extend it."""
     for path in workspace.extending(document.path):
         other = workspace.document(path)
         if other is not None and name in other.scene.items:
@@ -123,7 +124,7 @@ def _source(document: Document) -> Source:
 
 
 def references(workspace: Workspace, document: Document, offset: int, declaration: bool = True) -> list[Found]:
-    """All places where the same thing is named, in all files that belong together."""
+    """Return all references to the same symbol, in all related files."""
     keys = {meant(workspace, document, each.key) for each in _same_place(document, offset)}
     found: dict[tuple[Path, int], Found] = {}
     for other, occurrence in _all(workspace, document, keys):
@@ -135,7 +136,8 @@ def references(workspace: Workspace, document: Document, offset: int, declaratio
 
 
 def meant(workspace: Workspace, document: Document, key: Key) -> Key:
-    """What a name stands for that this file alone does not tell: an item of the scene behind it, or what a program declares."""
+    """Return the key of a name that this file alone does not resolve: an item of the base scene, or a declaration of a
+    program."""
     if key[0] not in _UNKNOWN:
         return key
     if key[0] == "?scene" and any(_items(workspace, document, key[1])):
@@ -173,7 +175,7 @@ def _all(workspace: Workspace, document: Document, keys: set[Key]) -> Iterator[t
 
 
 def renamable(workspace: Workspace, document: Document, offset: int) -> Occurrence:
-    """The name at an offset that may be given another one; Refused when there is none."""
+    """Return the renamable name at an offset. Raises Refused when there is none."""
     found = occurrence_at(document, offset)
     if found is None:
         raise Refused("there is no name here")
@@ -185,7 +187,8 @@ def renamable(workspace: Workspace, document: Document, offset: int) -> Occurren
 
 
 def rename(workspace: Workspace, document: Document, offset: int, new: str) -> list[Found]:
-    """All places that a new name must be written to. What `take` and `give` bind by one name goes together."""
+    """Return all positions that a new name must be written to. Names that `take` and `give` bind together are renamed
+    together."""
     first = renamable(workspace, document, offset)
     if not _NAME.fullmatch(new) or len(new) > limits.NAME_CHARACTERS:
         raise Refused(f"`{new[:80]}` is no name: small letters, digits and `_`, beginning with a letter")
@@ -216,7 +219,8 @@ def _given(key: Key, new: str) -> bool:
 
 
 def _bound_together(workspace: Workspace, document: Document, keys: set[Key]) -> set[Key]:
-    """`take 1 load from meal` names the animal's `load` and the food's at once: whoever renames the one renames the other."""
+    """Return the keys that are renamed together with `keys`. `take 1 load from meal` names the animal's `load` and the food's at
+    once: if one is renamed, so is the other."""
     pairs: list[set[Key]] = []
     for path in workspace.family(document.path):
         other = workspace.document(path)
@@ -234,7 +238,7 @@ def _bound_together(workspace: Workspace, document: Document, keys: set[Key]) ->
 
 
 def _refuse_collision(workspace: Workspace, document: Document, key: Key, new: str) -> None:
-    """A name that is taken already where the renamed one is seen, or that would hide it."""
+    """Raise Refused for a name that is already in use in the scope of the renamed one, or that would hide it."""
     rivals: set[Key] = {(*key[:-1], new)}
     if key[0] in ("own", "let", "machine"):
         rivals |= {("own", key[1], new), ("machine", key[1], new)}

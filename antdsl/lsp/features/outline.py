@@ -1,4 +1,4 @@
-"""The outline of a file for an editor: its symbols one inside the other, and what can be folded."""
+"""The outline of a file for an editor: nested symbols, and the parts that can be folded."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What may stand inside an expression: values that are known there, members after a dot, arguments inside brackets."""
+"""Proposals inside an expression: values in scope, members after a dot, arguments inside brackets."""
 
 from __future__ import annotations
 
@@ -75,7 +75,7 @@ def species(request: Request) -> Iterator[Item]:
 
 
 def _locals(request: Request) -> dict[str, tuple[str, Type | None]]:
-    """What is seen from this place alone, by name: what it is in words, and its type as far as it is known."""
+    """Return the local names at this position: for each its description in words, and its type if known."""
     behaviour = request.names.behaviours.get(request.context.around("top", "behaviour") or "")
     found: dict[str, tuple[str, Type | None]] = {}
     for each in (*behaviour.arguments, *behaviour.body) if behaviour is not None else ():
@@ -95,7 +95,7 @@ def _locals(request: Request) -> dict[str, tuple[str, Type | None]]:
 
 
 def _type(request: Request, name: str, local: Mapping[str, tuple[str, Type | None]]) -> Type | None:
-    """The type of a name as the last check found it, or the last one without errors where this one could not."""
+    """Return the type of a name from the last check, or from the last check without errors if that one has none."""
     if name in local:
         return local[name][1]
     if name == "self" and request.species:
@@ -210,7 +210,7 @@ def behaviours(request: Request) -> Iterator[Item]:
 
 
 def _call(node: nodes.Behaviour) -> Item:
-    """A behaviour with a place for each argument that must be given."""
+    """Return the proposal of a behaviour, with a placeholder for each required argument."""
     wanted = [argument for argument in node.arguments if argument.default is None]
     places = ", ".join(f"${{{number}:{argument.name.text}}}" for number, argument in enumerate(wanted, 1))
     optional = "$0" if not wanted and node.arguments else ""

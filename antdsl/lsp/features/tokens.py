@@ -1,4 +1,4 @@
-"""Semantic tokens: every word of a program with what it turned out to be, for an editor that colours by meaning."""
+"""Semantic tokens: each word of a program with its meaning, for editors that colour by meaning."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def keywords() -> frozenset[str]:
 
 
 def tokens(document: Document, first: int = 0, last: int | None = None) -> list[int]:
-    """The tokens of some lines, as the protocol wants them: five numbers each, places counted from the token before."""
+    """Return the tokens of some lines in the protocol's form: five numbers each, positions relative to the previous token."""
     text, words = document.text, keywords()
     begin = text.starts[min(first, len(text.starts) - 1)]
     end = len(text.text) if last is None or last + 1 >= len(text.starts) else text.starts[last + 1]

@@ -1,4 +1,4 @@
-"""Writes operations on numbers, of one turn of a loop or of several side by side."""
+"""Operations on numbers, of one turn of a loop or of several in SIMD lanes."""
 
 from __future__ import annotations
 
@@ -37,18 +37,18 @@ class Arithmetic(Vectors[Number]):
 
     @property
     def is_reached(self) -> bool:
-        """Whether the text counts for one turn at least, for certain."""
+        """Return whether this code certainly runs for at least one iteration."""
         return self.mask is None or self.mask.known is not None or self.mask is self.reached
 
     def counts(self) -> Number | None:
-        """Whether the text counts for one turn at least; None where it does for certain."""
+        """Return the condition that this code runs for at least one iteration; None where it certainly does."""
         return None if self.mask is None or self.is_reached else self.some(self.mask)
 
     def named(self, kind: str, name: str, lanes: int = 1, known: Any = None) -> Number:
         return Number(kind, name, known, lanes)
 
     def convert(self, value: Number, kind: str) -> Number:
-        """As a cast of NumPy does; floats saturate, and NaN becomes 0."""
+        """Convert a number as a NumPy cast does; floats saturate, and NaN becomes 0."""
         if value.kind == kind:
             return value
         if value.known is not None and not value.wide and kind in (DOUBLE, INT, UNSIGNED) and value.kind != DOUBLE:
@@ -77,8 +77,8 @@ class Arithmetic(Vectors[Number]):
         return value if value.kind in (DOUBLE, FLOAT) else self.convert(value, DOUBLE)
 
     def paired(self, a: Number, b: Number) -> tuple[Number, Number]:
-        """Two numbers of one kind, as NumPy has it: a number of the text takes the type of the other one. NotInSubset for a
-        float32 and a number of another type, or one of the text that float32 does not have."""
+        """Convert two numbers to one kind by NumPy's rules: a literal takes the type of the other one. Raises NotInSubset for a
+        float32 with another type, or for a literal that float32 cannot represent."""
         if FLOAT in (a.kind, b.kind) and TRUTH not in (a.kind, b.kind):
             a, b = self._as_float32(a), self._as_float32(b)
         kinds = {a.kind, b.kind}
@@ -105,7 +105,7 @@ class Arithmetic(Vectors[Number]):
         return self.widened(found) if value.wide else found
 
     def as_kind(self, value: Number, kind: str) -> Number:
-        """A number for a place of this kind. NotInSubset for one of the text that would be another number then."""
+        """Convert a number to a kind. Raises NotInSubset for a literal that the kind would change."""
         if value.kind == kind or value.known is None:
             return self.convert(value, kind)
         if kind == FLOAT:
@@ -140,7 +140,7 @@ class Arithmetic(Vectors[Number]):
         return self._divided(node, word is ast.Mod, a, b)
 
     def _folded(self, node: ast.AST, word: type[ast.operator], a: Number, b: Number) -> Number:
-        """An operation on two whole numbers of the text, that gives a whole number."""
+        """Compute an operation on two integer literals with an integer result."""
         kind = UNSIGNED if UNSIGNED in (a.kind, b.kind) else INT
         try:
             value = _FOLDED[word](int(a.known or 0), int(b.known or 0))
@@ -191,7 +191,8 @@ class Arithmetic(Vectors[Number]):
         return self.op("and", TRUTH, *self.alike(a, b))
 
     def _first(self, word: type[ast.operator], a: Number, b: Number) -> Number | None:
-        """The first of a sum of numbers that each are one more than the turn before, and one that is the same for all."""
+        """Return the number of a sum in the first lane, if one operand grows by one per turn and the other is loop-invariant;
+        else None."""
         if word not in (ast.Add, ast.Sub) or a.base != "i64" or b.base != "i64" or (b.first and word is ast.Sub):
             return None
         one, other = (a.first, b) if a.first else (a, b.first)
@@ -228,6 +229,6 @@ class Arithmetic(Vectors[Number]):
 
 
 def in_range(number: int, kind: str) -> int:
-    """A whole number as one of 64 bits has it, with a sign or without."""
+    """Wrap an integer to 64 bits, signed or unsigned."""
     number &= (1 << 64) - 1
     return number if kind == UNSIGNED or number < 1 << 63 else number - (1 << 64)

@@ -1,7 +1,7 @@
-"""Calls a kernel's code: arguments are checked and laid into a table of words, which it reads.
+"""Calls of a kernel's code: arguments are checked and written into a table of words, which the code reads.
 
-Most calls are made by machine code (`direct`). What that does not know is done here, and mistakes are told: arrays of another
-type, or that do not lie as they should."""
+Most calls are made by machine code (`direct`). The others are made here, and mistakes are reported: arrays of another type, or
+with another memory layout."""
 
 from __future__ import annotations
 
@@ -24,8 +24,8 @@ _KINDS = {"double": REAL, "float": REAL, "i64": WHOLE, "u64": UNSIGNED, "i1": WH
 
 @dataclass(frozen=True, slots=True)
 class Told:
-    """What a kernel's text says of itself: the kinds of the numbers that it gives back, whether as a tuple, and the numbers of
-    the arrays that it writes to."""
+    """The signature of a kernel's text: the kinds of its results, whether they form a tuple, and the numbers of the arrays that
+    it writes to."""
 
     gives: tuple[str, ...]
     several: bool
@@ -43,7 +43,7 @@ class Told:
 
 
 def caller(name: str, code: machine.Code, types: Sequence[Any], told: Told) -> Callable[..., Any]:
-    """A function of a kernel's arguments. `types`: what its annotations name."""
+    """Return a function of a kernel's arguments. `types` are those of its annotations."""
     wanted = list(_wanted(types, told.stored))
     words = RESULTS + sum(_words(each) for each in wanted)
     given, several = list(told.gives), told.several
@@ -57,9 +57,10 @@ def caller(name: str, code: machine.Code, types: Sequence[Any], told: Told) -> C
 def parted(
     name: str, code: machine.Code, types: Sequence[Any], told: Told, whole: Callable[..., Any]
 ) -> Callable[..., Any] | None:
-    """A function of the arguments of a kernel whose last two are where its loop begins and ends, of a number of parts, and of the
-    address of a pool: a list of what the kernel gives for each part, which the pool's workers have done. What cannot be read is
-    done by `whole`, in one part. None where there is no such function."""
+    """Return a function that runs a kernel in parts, or None where there is none. The last two arguments of the kernel are where
+    its loop begins and ends. The function takes these arguments, a number of parts, and the address of a pool. It returns a list
+    of the kernel's results for each part, which the pool's workers compute. Arguments that it cannot read go to `whole`, in one
+    part."""
     wanted = list(_wanted(types, told.stored))
     words = RESULTS + sum(_words(each) for each in wanted)
     if any(not isinstance(each, Scalar) or each.kind != INT for each in types[-2:]) or (told.several and len(told.gives) == 1):
@@ -76,7 +77,7 @@ def parted(
 
 
 def _wanted(types: Sequence[Any], stored: Sequence[int]) -> Iterator[Wanted]:
-    """What a kernel wants, and where it lies in the table; tuples before what is in them."""
+    """Yield the arguments that a kernel expects and their positions in the table; a tuple comes before its elements."""
     place, arrays = RESULTS, 0
 
     def each_of(many: Sequence[Any], path: tuple[int, ...]) -> Iterator[Wanted]:
@@ -136,7 +137,8 @@ def _plain(
 
 
 def flat(name: str, types: Sequence[Any], arguments: Sequence[Any]) -> Iterator[Any]:
-    """What is no tuple among arguments. Raises TypeError and ValueError where there are more or fewer than is wanted."""
+    """Yield the arguments, with the contents of tuples instead of tuples. Raises TypeError or ValueError for a wrong number of
+    them."""
     if len(types) != len(arguments):
         raise TypeError(f"{name} takes {len(types)} arguments, not {len(arguments)}")
     for type, argument in zip(types, arguments, strict=True):
@@ -149,7 +151,7 @@ def flat(name: str, types: Sequence[Any], arguments: Sequence[Any]) -> Iterator[
 
 
 def _described(name: str, wanted: Wanted, array: Any) -> tuple[int, ...]:
-    """The words that tell of an array. Raises ValueError where it is of another type, or does not lie as it should."""
+    """Return the words that describe an array. Raises ValueError for another type or memory layout."""
     dtype, shape = wanted.dtype, array.shape
     assert dtype is not None
     if (dtype is not array.dtype and dtype != array.dtype) or len(shape) != wanted.axes:

@@ -58,7 +58,7 @@ def described(file: str, line: int, op: str) -> str:
 
 
 class Checks:
-    """Writes the checks of the functions of one text."""
+    """Writer of the checks in the functions of one text."""
 
     def __init__(self) -> None:
         self._messages: list[str] = []
@@ -113,7 +113,7 @@ def _mask(operands: list[Any]) -> str:
 
 
 def guarded(run: Callable[..., Any], code: Code) -> Callable[..., Any]:
-    """The call of a checked kernel, which raises KernelFault."""
+    """Return a call of a checked kernel that raises KernelFault."""
     word = ctypes.c_int64.from_address(code.constant(_WORD))
 
     @wraps(run, assigned=())

@@ -1,10 +1,9 @@
-"""Kernels as built-in functions of CPython: machine code reads their arguments, so that a call costs less than to look at one of
-its arrays in Python.
+"""Kernels as built-in functions of CPython: machine code reads their arguments. So a call costs less than inspecting one of its
+arrays in Python.
 
-One function for all of them (METH_FASTCALL): what it is to read lies in the bytes that it is bound to. Where an object is of
-another type than its argument names, it calls `otherwise` with all arguments, which has the last word. It goes by how objects of
-CPython and NumPy lie in memory (`PyArrayObject_fields` is part of NumPy's binary interface), once `possible` has looked whether
-they do here."""
+All kernels share one function (METH_FASTCALL); the bytes that it is bound to say what to read. If an object has another type than
+its argument, the function calls `otherwise` with all arguments, which decides. It relies on the memory layout of objects in
+CPython and NumPy (`PyArrayObject_fields` is part of NumPy's binary interface), after `possible` has verified that layout."""
 
 from __future__ import annotations
 
@@ -41,8 +40,8 @@ class _Pair(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Wanted:
-    """An argument, or what is in one: `path` says where. Of an array, words of the table from `place` on have its address, its
-    lengths, and if it is `strided` its steps; a number is one word. A tuple or record has `count` objects."""
+    """An argument or an element of one, at `path`. An array takes words of the table from `place` on: its address, its lengths
+    and, if `strided`, its steps. A number takes one word. A tuple or record has `count` objects."""
 
     path: tuple[int, ...]
     place: int = 0
@@ -63,9 +62,9 @@ def direct(
     otherwise: Callable[..., Any],
     run: int = 0,
 ) -> Any:
-    """The built-in function for code which takes a table of so many words and leaves what it `gives` in the first of them. Tuples
-    stand before what is in them. `run`: the address of what has such code done in parts; then two more words are `wanted` behind
-    the table, and a list is given back. None where none can be made."""
+    """Return the built-in function for code that takes a table of `words` and leaves its results, `gives`, in the first of them.
+    Tuples precede their contents. `run`: the address of a function that runs such code in parts. Then two more words are `wanted`
+    behind the table, and a list is returned. None where no function can be made."""
     if (
         words + 2 > reading.WORDS
         or len(gives) > reading.RESULTS
@@ -102,7 +101,7 @@ def _code() -> machine.Code:
 
 @cache
 def possible() -> bool:
-    """Whether objects lie in memory here as `text` reads them: of a CPython with one lock, with 64 bits."""
+    """Return whether objects have the memory layout that `text` reads: 64-bit CPython with a global lock."""
     if sys.implementation.name != "cpython" or ctypes.sizeof(ctypes.c_void_p) != 8 or hasattr(sys, "getobjects"):
         return False
     if sysconfig.get_config_var("Py_GIL_DISABLED") or bytes.__basicsize__ != reading.bytes_at() + 1:
@@ -139,7 +138,7 @@ def possible() -> bool:
 
 @cache
 def _here() -> ctypes.Array[ctypes.c_int64]:
-    """Addresses of what the text calls and compares with, in the order of `CALLS` and `OBJECTS`."""
+    """Return the addresses of everything that the text calls and compares with, in the order of `CALLS` and `OBJECTS`."""
     calls = [ctypes.cast(getattr(ctypes.pythonapi, name), ctypes.c_void_p).value or 0 for name in reading.CALLS]
     places = [*calls, *map(id, reading.OBJECTS.values())]
     return (ctypes.c_int64 * len(places))(*places)

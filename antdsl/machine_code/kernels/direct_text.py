@@ -1,4 +1,5 @@
-"""What calls a kernel for CPython, as text in LLVM's language: it reads arguments by the places of things in objects."""
+"""The functions that call a kernel for CPython, as text in LLVM's language. They read arguments by the offsets of fields in
+objects."""
 
 from __future__ import annotations
 
@@ -38,7 +39,7 @@ def bytes_at() -> int:
 
 @library_text
 def text(_: machine.Target) -> str:
-    """`PyObject *direct(PyObject *told, PyObject *const *given, Py_ssize_t count)` in LLVM's language."""
+    """Return `PyObject *direct(PyObject *told, PyObject *const *given, Py_ssize_t count)` in LLVM's language."""
     head = object.__basicsize__
     names = (*(f"call.{name}" for name in CALLS), *OBJECTS)
     found = "\n".join([_TEXT, *(_reader(name, number) for number, name in enumerate(names)), ""])

@@ -1,7 +1,7 @@
-"""Writes reads and stores of arrays' elements: of one turn of a loop, or of several side by side.
+"""Reads and stores of arrays' elements: of one turn of a loop, or of several in SIMD lanes.
 
-Elements of turns side by side that follow each other in memory are read and stored at once, others one by one; what counts for
-some of the turns alone is read elsewhere for the others, and not stored."""
+Elements of lanes that are contiguous in memory are read and stored at once, others one by one. For inactive lanes, another
+address is read, and nothing is stored."""
 
 from __future__ import annotations
 
@@ -20,7 +20,8 @@ class Elements(Arithmetic):
     """Reads and stores of elements."""
 
     def check_index(self, node: ast.AST, index: Number, length: Number, count: int = 1) -> None:
-        """So many indices from this one on are to be ones of an axis. NotInSubset for one that the text shows to be none."""
+        """Check that `count` indices from this one on are within an axis. Raises NotInSubset for an index that is outside for
+        certain."""
         if index.known is not None and (index.known < 0 or (length.known is not None and index.known + count > length.known)):
             self.fail(node, f"{index.known} is no index of an axis, or a negative one")
         if index.known is None or length.known is None:
@@ -30,11 +31,11 @@ class Elements(Arithmetic):
             self.do("index", index, length, *([self.mask] if index.wide and self.mask is not None else []), x=count, node=node)
 
     def _check_span(self, array: Array, first: Number, count: int = WIDTH) -> None:
-        """Elements that are read or stored at once are to be elements of the array, for all turns."""
+        """Check that elements read or stored at once lie in the array, for all iterations."""
         self.do("span", first, *array.lengths, x=count)
 
     def offset(self, node: ast.AST, array: Array, numbers: list[Number]) -> Number:
-        """How many elements an index is behind the first one."""
+        """Return the offset of an index from the first element, in elements."""
         for each in numbers:
             if each.base != "i64":
                 self.fail(node, "an index is a whole number that is not negative")
@@ -74,7 +75,7 @@ class Elements(Arithmetic):
         return found
 
     def _load_lanes(self, array: Array, kind: str, place: Number) -> Number:
-        """Elements that follow each other, one for each turn."""
+        """Load consecutive elements, one for each iteration."""
         return self.op("load", kind, place, x=_aligned(array), lanes=WIDTH)
 
     def keep(self, node: ast.AST, array: Array, at: Number, item: Number) -> None:
@@ -113,7 +114,7 @@ class Elements(Arithmetic):
         return value if value.base == scalar.stored else self.op("trunc", scalar.stored, value)
 
     def row(self, node: ast.AST, of: Array, index: Number) -> Array:
-        """What lies at an index of the first axis, an array with one axis less."""
+        """Return the part of an array at an index of the first axis, with one axis less."""
         if index.wide:
             self.fail(node, "a part of an array is the same one for all turns side by side")
         self.check_index(node, index, of.lengths[0])
@@ -127,13 +128,14 @@ class Elements(Arithmetic):
         return self._behind(array, array.address, at)
 
     def _behind(self, array: Array, address: Number, at: Number | int) -> Number:
-        """The address of an element of an array so far behind another one."""
+        """Return the address of the element `at` elements after another one."""
         index = Number(INT, str(at)) if isinstance(at, int) else at
         return self.op("element", "ptr", address, index, x=array.of.stored, lanes=index.lanes)
 
     def _counting(self, array: Array, at: Number) -> Number:
-        """The address of an element that is the same for all turns. Where no turn counts, its index may be none: then that of
-        zeros. The comparison is with the array's length, and not the mask, so that LLVM can move the load out of loops."""
+        """Return the address of an element at a loop-invariant index. Where no turn counts, the index may be out of range: then
+        that of zeros. The comparison is with the array's length, and not the mask, so that LLVM can move the load out of
+        loops."""
         place = self._place(array, at)
         if self.mask is None or self.is_reached:
             return place
@@ -144,14 +146,14 @@ class Elements(Arithmetic):
         return place if counts.known is not None else self.op("select", "ptr", counts, place, ZEROS)
 
     def _places(self, array: Array, at: Number) -> Number:
-        """The addresses of elements; of zeros that nobody writes to for turns that do not count."""
+        """Return the addresses of elements; for inactive lanes that of zeros, which no code writes to."""
         places = self._place(array, at)
         if self.mask is None or self.mask.known is not None:
             return places
         return self.op("select", "ptr", self.mask, places, self.widened(ZEROS))
 
     def consecutive(self, node: ast.AST, array: Array, at: Number, count: int) -> tuple[Number, ...]:
-        """So many elements that follow each other, a multiple of four, of an array of numbers as they are worked with."""
+        """Return `count` consecutive elements of an array of numbers, as computed with. `count` is a multiple of four."""
         self.check_index(node, at, array.lengths[0], count)
         if not at.wide:
             offsets = [self.arithmetic(node, ast.Add(), at, constant(k)) for k in range(count)]
@@ -161,7 +163,7 @@ class Elements(Arithmetic):
         return tuple(each for k in range(0, count, 4) for each in self._four(array, lanes, k))
 
     def _four(self, array: Array, lanes: list[Number], offset: int) -> list[Number]:
-        """Four elements each of eight rows, so far behind these addresses, one after the other for all of them."""
+        """Return four columns of eight lanes: the elements at `offset` to `offset + 3` after each of eight addresses."""
         rows = []
         for lane in lanes:
             place = self._behind(array, lane, offset)
@@ -189,7 +191,7 @@ class Elements(Arithmetic):
         return tuple(found)
 
     def _rows(self, array: Array, first: Number) -> Number:
-        """The address of rows of three from one on, which follow each other."""
+        """Return the address of consecutive rows of three elements from `first` on."""
         start = self.op("mul", INT, first, Number(INT, "3"))
         self._check_span(array, start, 3 * WIDTH)
         return self._place(array, start)
@@ -214,11 +216,11 @@ class Elements(Arithmetic):
             self.do("store", self.mixed(two, values[2], order), there, x=_aligned(array))
 
     def _offsets(self, node: ast.AST, array: Array, row: Number) -> list[Number]:
-        """How far the elements of a row are behind the first one of an array."""
+        """Return the offsets of a row's elements from the first element of an array."""
         return [self.offset(node, array, [row, constant(k)]) for k in range(3)]
 
     def fetch_ahead(self, array: Array, at: Number) -> tuple[()]:
-        """Have memory brought near."""
+        """Prefetch memory."""
         for lane in range(WIDTH if at.wide else 1):
             self.do("prefetch", self._place(array, self.one(at, lane) if at.wide else at))
         return ()
@@ -229,5 +231,5 @@ class Elements(Arithmetic):
 
 
 def _aligned(array: Array) -> str:
-    """How several elements of an array lie: at a multiple of one's size, as one element does, not of what they take together."""
+    """Return the alignment for several elements of an array: the size of one element, not their total size."""
     return f", align {array.of.dtype.itemsize}"

@@ -22,17 +22,17 @@ _COMPARED = {ast.Lt: "lt", ast.LtE: "le", ast.Gt: "gt", ast.GtE: "ge", ast.Eq: "
 
 
 class Expressions(Elements):
-    """Expressions of Python; `variables` has what a name stands for, `world` the names of the function's module."""
+    """Expressions of Python. `variables` has the value of each name, `world` the names of the function's module."""
 
     world: dict[str, Any]
     unit: Unit
 
     def unread(self, name: str) -> Any:
-        """What a name stands for: an item, in which places of variables are not loaded yet."""
+        """Return the item of a name, in which variables are not loaded yet."""
         raise NotImplementedError
 
     def loaded(self, item: Any) -> Item:
-        """Such an item with the numbers of its variables."""
+        """Return such an item with the values of its variables loaded."""
         raise NotImplementedError
 
     def called(self, node: ast.Call, function: Any, inputs: list[Item]) -> Item:
@@ -86,7 +86,8 @@ class Expressions(Elements):
         return spread
 
     def _unread(self, node: ast.expr) -> Any:
-        """The value of an expression; of what is part of a variable the place, so that other parts of it are not loaded."""
+        """Return the value of an expression. A part of a variable is returned as its address, so that other parts are not
+        loaded."""
         match node:
             case ast.Name(id=name):
                 return self.unread(name)
@@ -117,7 +118,7 @@ class Expressions(Elements):
         return found
 
     def _both(self, every: bool, parts: list[ast.expr]) -> Number:
-        """What stands behind is asked only where it counts, as in Python."""
+        """Evaluate later parts only where they count, as in Python."""
         first = self.truth(parts[0])
         if len(parts) == 1 or (first.known is not None and bool(first.known) != every):
             return first
@@ -178,13 +179,13 @@ class Expressions(Elements):
             self.put(place, self.widened(value) if each > 1 else value)
 
     def inverted(self, value: Number) -> Number:
-        """Of a condition whether it does not hold, of a number its bits the other way."""
+        """Return the negation of a condition, or the bitwise complement of a number."""
         ones = Number(value.kind, "true" if value.kind == TRUTH else "-1")
         return self.op("xor", value.kind, value, self.widened(ones) if value.wide else ones)
 
     @contextmanager
     def where(self, condition: Number) -> Iterator[None]:
-        """What is written within counts for those of the turns side by side for which a condition holds."""
+        """Restrict the code that is written in the context to lanes for which a condition holds."""
         before = self.mask
         assert before is not None
         self.mask = self.both(before, condition)
@@ -230,7 +231,7 @@ class Expressions(Elements):
         self.fail(node, f"no `{attribute}`")
 
     def at(self, node: ast.AST, array: Array, index: ast.expr) -> Number:
-        """How many elements an index is behind the first one of an array."""
+        """Return the offset of an index from the first element of an array, in elements."""
         parts = index.elts if isinstance(index, ast.Tuple) else [index]
         if len(parts) != len(array.lengths):
             self.fail(node, "an index for each axis is wanted")
@@ -286,7 +287,7 @@ class Expressions(Elements):
         return self.called(node, known, inputs)
 
     def _record(self, node: ast.Call, record: Any) -> Item:
-        """A record of a class, which is called with fields in their order and by name."""
+        """Return a record from a call of its class, with positional and keyword fields."""
         names = record._fields
         if len(node.args) > len(names):
             self.fail(node, f"`{record.__name__}` has {len(names)} fields, not {len(node.args)}")
@@ -323,7 +324,7 @@ class Expressions(Elements):
         return record(**{name: self.fit(node, name, item, types[name]) for name, item in fields.items()})
 
     def fit(self, node: ast.AST, name: str, item: Item, type_: Any) -> Item:
-        """An item for what has a type: a constant takes that, anything else has it."""
+        """Return an item of a given type: a constant is converted, any other item must have the type."""
         if type_ is Any:
             return item
         if isinstance(type_, Scalar) and isinstance(item, Number):
@@ -359,7 +360,7 @@ class Expressions(Elements):
         return ()
 
     def known(self, node: ast.AST, name: ast.expr) -> Any:
-        """What a name of the module, of a package in it or of Python stands for."""
+        """Return the value of a name of the module, of a package in it, or of Python."""
         if isinstance(name, ast.Attribute) and isinstance(name.value, ast.Name):
             package = self.world.get(name.value.id)
             if isinstance(package, ModuleType):

@@ -1,4 +1,5 @@
-"""The functions that a kernel may call, besides those of its own: by the function that Python knows, how it is written."""
+"""The functions that a kernel may call, in addition to those of kernels: the function that Python knows, and how it is
+written."""
 
 from __future__ import annotations
 
@@ -20,22 +21,22 @@ _TIED = 1.5 * 2.0**52  # added to a number, it leaves a whole one in the last bi
 
 
 def independent(begin: int, end: int) -> Iterator[int]:
-    """Numbers from `begin` to before `end`, of a loop of which no turn reads what another one writes."""
+    """Iterate from `begin` to before `end` in a loop with independent iterations: none reads what another one writes."""
     return iter(range(begin, end))
 
 
 def scratch(count: int, dtype: Any) -> Any:
-    """Room for so many numbers, which a kernel has for itself; the count stands in the text."""
+    """Return a private buffer of `count` numbers for a kernel. The count must be a literal."""
     return np.empty(count, dtype)
 
 
 def consecutive(array: Any, at: int, count: int) -> tuple[Any, ...]:
-    """So many elements of an array with one axis that follow each other, a multiple of four, read at once."""
+    """Return `count` consecutive elements of a one-dimensional array, read at once. `count` is a multiple of four."""
     return tuple(array[at + k] for k in range(count))
 
 
 def three(array: Any, row: int) -> tuple[Any, Any, Any]:
-    """A row of an array (n, 3) in one piece; rows that follow each other are read at once."""
+    """Return a row of an array (n, 3) as three numbers; consecutive rows are read at once."""
     return array[row, 0], array[row, 1], array[row, 2]
 
 
@@ -45,11 +46,11 @@ def put_three(array: Any, row: int, items: tuple[Any, Any, Any]) -> None:
 
 
 def fetch_ahead(array: Any, at: int) -> None:
-    """Say that the line of memory with an element will be read soon; any index may be given."""
+    """Prefetch the cache line of an element. Any index is allowed."""
 
 
 def whole(value: float) -> int:
-    """A float64 as the whole number that is nearest, of which it has less than 51 bits; of any other some number."""
+    """Return the nearest integer to a float64, for results below 51 bits. Other inputs give an unspecified number."""
     return round(value) if abs(value) < 2.0**51 else 0
 
 
@@ -78,7 +79,7 @@ def _absolute(w: Writer, a: Number) -> Number:
 
 
 def _lesser(w: Writer, *values: Number) -> Number:
-    """As Python has it: the first one, unless another is less."""
+    """Return the minimum as Python defines it: the first value, unless another is less."""
     best = values[0]
     for each in values[1:]:
         a, b = w.paired(each, best)

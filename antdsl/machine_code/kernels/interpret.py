@@ -1,9 +1,9 @@
-"""Interprets the instructions of kernels and of plans: the reference that machine code is compared with.
+"""Interpreter for the instructions of kernels and of plans: the reference for machine code.
 
-Of a kernel it runs one turn after another, also where machine code has several in lanes. Numbers are NumPy scalars, with the
-meanings of `OPS`, those of several lanes tuples of them; memory is that of the arrays. What machine code leaves undefined is an
-error here: an index outside its axis, division by 0, and reading a variable or an element of `scratch` before anything was stored
-to it. What `steps` makes of each instruction is run here."""
+It runs one iteration of a kernel after another, also where machine code runs several in lanes. Numbers are NumPy scalars with the
+meanings of `OPS`, vectors are tuples of them, and memory is that of the arrays. Undefined behaviour of machine code is an error
+here: an index outside its axis, division by 0, and reading a variable or an element of `scratch` before anything was stored to
+it. `steps` translates each instruction to the function that runs here."""
 
 from __future__ import annotations
 
@@ -24,12 +24,13 @@ from antdsl.machine_code.kernels.values import Item, leaves
 
 
 def interpret(kernel: Kernel, *arguments: Any) -> Any:
-    """What a kernel gives for arguments; it writes to those that are arrays. Raises KernelFault with file and line."""
+    """Run a kernel on arguments and return its result; arrays among them may be written to. Raises KernelFault with file and
+    line."""
     return Interpreter(kernel)(*arguments)
 
 
 class Interpreter:
-    """A kernel that is called as its machine code is."""
+    """A kernel with the calling convention of its machine code."""
 
     def __init__(self, kernel: Kernel) -> None:
         self._types = kernel.types()
@@ -54,8 +55,8 @@ class Interpreter:
 
 
 def interpreted(functions: Sequence[Function], name: str) -> Callable[[int, int, int], None]:
-    """A function of a plan, of (table of addresses, first row, row after the last), as machine code has it. `functions`: all that
-    it calls, callees first."""
+    """Return a plan's function of (table of addresses, first row, row after the last), with the interface of machine code.
+    `functions` are all that it calls, callees first."""
     codes: dict[str, Code] = {}
     for each in functions:
         codes[each.name] = Prepared(each, codes).code()
@@ -82,7 +83,7 @@ def _number(value: Any, type: Scalar) -> Any:
 
 
 def _array(array: Any, type: ArrayType) -> list[Any]:
-    """The address of an array, its lengths, and its steps if it may have any."""
+    """Return the address of an array, its lengths, and its steps if the type is strided."""
     low, high = byte_bounds(array)
     start = array.__array_interface__["data"][0]
     buffer = (ctypes.c_uint8 * (high - low if array.size else 0)).from_address(low)

@@ -30,15 +30,16 @@ _GLOBAL = {ZEROS.name: "ptr", ORDERS.name: "ptr"}
 
 
 class NotInSubset(Exception):
-    """A kernel's text has what kernels cannot have, which is our mistake; the message has the place."""
+    """Error for a kernel that uses constructs outside the supported subset, a mistake of ours; the message has the location."""
 
 
 class InvalidCode(Exception):
-    """Instructions that do not fit together, which is the writer's mistake."""
+    """Error for instructions that do not fit together, a mistake of the code that writes them."""
 
 
 class Instruction(NamedTuple):
-    """One row of `OPS` with its operands. `extra` is what the row calls `x`; `line` is that of the kernel's file."""
+    """An operation of `OPS` with its operands. `extra` is the operation's immediate `x`; `line` is a line of the kernel's
+    file."""
 
     op: str
     result: Number | None
@@ -48,7 +49,7 @@ class Instruction(NamedTuple):
 
 
 class Block(NamedTuple):
-    """Instructions of which the last one says which block follows."""
+    """A sequence of instructions; the last one names the next block."""
 
     label: str
     body: list[Instruction]
@@ -56,7 +57,7 @@ class Block(NamedTuple):
 
 @dataclass(slots=True)
 class Function:
-    """`slots`: its places on the stack. `result`: the types that it gives back, as text. `attribute`: as LLVM has it."""
+    """A function. `slots`: its stack slots. `result`: its result types, as text. `attribute`: as in LLVM."""
 
     name: str
     file: str
@@ -88,7 +89,7 @@ class Builder(ABC, Generic[Value]):
         """A number that is called so in the text."""
 
     def op(self, op: str, kind: str, *operands: Number, x: Any = "", lanes: int = 0) -> Value:
-        """An instruction with a result: of as many lanes as its first operand has, unless `lanes` says otherwise."""
+        """Add an instruction with a result. It has as many lanes as its first operand, unless `lanes` gives another number."""
         output = self.named(kind, self.name(), lanes or operands[0].lanes)
         self.block_now.body.append(Instruction(op, output, operands, x, self.line))
         return output
@@ -138,8 +139,8 @@ class Builder(ABC, Generic[Value]):
 
 
 def verify(functions: Sequence[Function], others: Mapping[str, Function] | None = None) -> None:
-    """Raise InvalidCode where operand types do not fit the operation, a register is defined twice or read before, or a block does
-    not end with its only branch. `others`: what they call besides each other."""
+    """Raise InvalidCode where operand types do not fit the operation, or a register is defined twice or read before. A block must
+    also end with its only branch. `others`: further functions that they call."""
     known = {**(others or {}), **{each.name: each for each in functions}}
     for each in functions:
         _Verifier(each, known).run()
@@ -206,7 +207,7 @@ class _Verifier:
 
 @cache
 def _fits(op: str, types: tuple[str, ...], result: str) -> bool:
-    """Whether operands and a result are of the types that an operation takes and gives."""
+    """Return whether the types of operands and result match an operation."""
     takes, gives, lanewise = OPS[op].takes, OPS[op].gives, OPS[op].lanewise
     parts = [parted(each) for each in types]
     bases = [base for _, base in parts]
@@ -228,7 +229,7 @@ def _fits(op: str, types: tuple[str, ...], result: str) -> bool:
 
 
 def parted(type: str) -> tuple[int, str]:
-    """How many lanes a type has, and the type of one."""
+    """Return the number of lanes of a type, and the type of one lane."""
     lanes, _, base = type.strip("<>").partition(" x ") if type[0] == "<" else ("1", "", type)
     return int(lanes), base
 

@@ -1,4 +1,4 @@
-"""`@kernel`, `@inlined` and `@called`: functions whose text becomes machine code."""
+"""`@kernel`, `@inlined` and `@called`: functions with text that becomes machine code."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ F = TypeVar("F", bound=PythonFunction)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Part:
-    """A function that kernels call, and how: `alwaysinline`, or as LLVM sees fit."""
+    """A function that kernels call, either as `alwaysinline` or as LLVM decides."""
 
     function: FunctionType
     attribute: str = ""
@@ -50,7 +50,8 @@ class Part:
 
     @lru_cache(maxsize=512)  # noqa: B019
     def types(self) -> dict[str, Any]:
-        """What its annotations stand for, by parameter; `return` is what it gives. What has none is left out."""
+        """Return the types of its annotations, by parameter; `return` is the result. Parameters without annotation are left
+        out."""
         function = self.function
         return {
             name: () if annotation in ("None", None) else resolved(annotation, function.__globals__)
@@ -71,8 +72,8 @@ called = _part("")
 
 
 class Kernel:
-    """A function of arrays and numbers, as machine code that is made when it is first called. Raises ValueError for an array of
-    another type, or that does not lie as its annotation says; what it gives back are numbers."""
+    """A function of arrays and numbers, compiled to machine code at its first call. Its results are numbers. Raises ValueError
+    for an array of another type, or with another layout than its annotation."""
 
     # What is called is held by the instance, so that the interpreter goes to a built-in function and makes no frame for a call.
     __slots__ = ("__call__", "__dict__", "__weakref__")
@@ -92,7 +93,7 @@ class Kernel:
         return self.made()(*arguments)
 
     def made(self) -> Callable[..., Any]:
-        """The function that calls the machine code, which is made or loaded if it is not there yet. Raises NoMachineCode."""
+        """Return the function that calls the machine code, which is compiled or loaded if needed. Raises NoMachineCode."""
         with self._lock:
             if self._run is None:
                 machine.require()
@@ -103,7 +104,7 @@ class Kernel:
             return self._run
 
     def caller(self, code: machine.Code, checked: bool = CHECKED) -> Callable[..., Any]:
-        """The function that calls the code of a text with this kernel in it."""
+        """Return the function that calls the code of a text that contains this kernel."""
         found: Callable[..., Any] = _guarded(caller(self.__name__, code, self.types(), self._told(code)), code, checked)
         return found
 
@@ -111,7 +112,8 @@ class Kernel:
         return Told.read(code.told(_description_name(self.__name__)))
 
     def parted(self) -> Callable[..., list[Any]] | None:
-        """The function that has its machine code run by a pool of workers, as `calling.parted` says; None where there is none."""
+        """Return the function that runs its machine code on a pool of workers, as in `calling.parted`; None where there is
+        none."""
         if self._apart is None:
             self.made()
         assert self._apart is not None
@@ -124,11 +126,11 @@ class Kernel:
         return codes.kept(self.named(machine.host()))
 
     def named(self, target: machine.Target) -> str:
-        """What stands for its text: the key of its sources, or else the text."""
+        """Return the name of its text: the key of its sources, or else the text."""
         return sources.key(self.part, self.types()) or self.text(target)
 
     def types(self) -> list[Any]:
-        """What its annotations name; of a record the types of its fields."""
+        """Return the types of its annotations; for a record, the types of its fields."""
         function = self.part.function
         named = function.__code__.co_varnames[: function.__code__.co_argcount]
         return [resolved(function.__annotations__.get(name), function.__globals__) for name in named]
@@ -197,12 +199,12 @@ def _guarded(run: Any, code: machine.Code, checked: bool) -> Any:
 
 
 def kernel(function: PythonFunction) -> Kernel:
-    """A kernel of a function whose arguments have annotations."""
+    """Return a kernel of a function with annotated arguments."""
     return Kernel(function)  # type: ignore[arg-type]
 
 
 def _argument(type: Any, words: Iterator[int], body: list[str], numbers: Iterator[int]) -> Item:
-    """The item of an argument, read from the table in these words."""
+    """Return the item of an argument, read from these words of the table."""
 
     def read(kind: str) -> Number:
         k = next(words)

@@ -40,7 +40,7 @@ class LineTables:
         return f" !dbg {self._function}"
 
     def of(self, line: int) -> str:
-        """What is written after an instruction of this line; 0 for the first one of the function."""
+        """Return the suffix of an instruction for this line; 0 means the first line of the function."""
         return f", !dbg !{self._node(f'!DILocation(line: {line or self._first}, scope: {self._function})')}"
 
     def text(self) -> list[str]:

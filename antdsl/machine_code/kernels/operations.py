@@ -30,10 +30,11 @@ CLASSES: Final[Mapping[str, frozenset[str]]] = {
 
 
 class Operation(NamedTuple):
-    """`takes`: a class of types for each operand; `=` is the type of the first one, `n` any number, `v` any type. `gives`: the
-    same for the result; `2` is the type of the second operand. `text` formats the operands, the result `r` and the immediate
-    `x`. `meaning` is a function of NumPy scalars; the interpreter implements the operations that have none. `more`: types that
-    the declaration of a function of LLVM has behind those of the operands."""
+    """One operation. `takes`: a class of types for each operand; `=` is the type of the first one, `n` any number, `v` any type.
+    `gives`: the same for the result; `2` is the type of the second operand.
+
+    `text` formats the operands, the result `r` and the immediate `x`. `meaning` is a function of NumPy scalars; the interpreter
+    implements operations without one. `more`: extra types in the declaration of an LLVM function, after those of the operands."""
 
     takes: str
     gives: str
@@ -50,12 +51,12 @@ def unsigned(a: Any) -> int:
 
 
 def _unsigned(function: Callable[[int, int], Any]) -> Callable[[Any, Any], Any]:
-    """A function of whole numbers without a sign, of numbers with one."""
+    """Convert a function of unsigned integers to one of signed integers."""
     return lambda a, b: wrapped(function(unsigned(a), unsigned(b)), a.dtype)
 
 
 def wrapped(number: int | bool, dtype: Any = np.int64) -> Any:
-    """A whole number in the bits of a type; a condition as it is."""
+    """Wrap an integer to the bits of a type; a condition is unchanged."""
     if isinstance(number, bool):
         return np.bool_(number)
     dtype = np.dtype(dtype)
@@ -106,7 +107,7 @@ def _binary(takes: str, meanings: Mapping[str, Callable[..., Any]]) -> dict[str,
 
 
 def _compared(takes: str, prefix: str, word: str, sign: str, meanings: Mapping[str, Callable[..., Any]]) -> dict[str, Operation]:
-    """Comparisons: `prefix` before their names, `word` and `sign` as LLVM has them."""
+    """Return the comparisons: `prefix` starts their names; `word` and `sign` are those of LLVM."""
     return {
         f"{prefix}{name}": Operation(takes, "b", f"{word} {sign}{name}" + " {0.typed}, {1.name}", meaning)
         for name, meaning in meanings.items()
@@ -114,7 +115,7 @@ def _compared(takes: str, prefix: str, word: str, sign: str, meanings: Mapping[s
 
 
 def _casts(takes: str, gives: str, meanings: Mapping[str, Callable[..., Any]]) -> dict[str, Operation]:
-    """Casts; their meanings are functions of a number and the type that it gets."""
+    """Return the casts. Their meanings are functions of a number and the result type."""
     return {name: Operation(takes, gives, name + " {0.typed} to {r.type}", meaning) for name, meaning in meanings.items()}
 
 
@@ -125,7 +126,7 @@ def _functions(takes: str, meanings: Mapping[str, Callable[..., Any]]) -> dict[s
 
 
 def _reductions(takes: str, meanings: Mapping[str, Callable[..., Any]]) -> dict[str, Operation]:
-    """One number of all lanes; the meanings are functions of two."""
+    """Return the reductions of all lanes to one number. The meanings are functions of two numbers."""
     text = "call {r.type} @llvm.vector.reduce.NAME.{0.suffix}({0.typed})"
     return {
         f"reduce.{name}": Operation(takes, takes, text.replace("NAME", name), meaning, lanewise=False)
@@ -134,7 +135,7 @@ def _reductions(takes: str, meanings: Mapping[str, Callable[..., Any]]) -> dict[
 
 
 def _zeros_below(a: Any) -> Any:
-    """How many zeros are below the lowest one of a whole number that is not 0."""
+    """Return the number of trailing zero bits of a nonzero integer."""
     return a.dtype.type((int(a) & -int(a)).bit_length() - 1)
 
 

@@ -1,4 +1,4 @@
-"""Records of kernels: NamedTuple classes with fields that have types of kernels."""
+"""Records of kernels: NamedTuple classes with fields of kernel types."""
 
 from __future__ import annotations
 
@@ -34,7 +34,8 @@ def _text(annotation: Any) -> Any:
 
 
 def resolved(annotation: Any, world: dict[str, Any]) -> Any:
-    """What an annotation stands for in a module with these names: a Scalar, an ArrayType, a tuple or record of these, or Any."""
+    """Return the type of an annotation in a module with these names: a Scalar, an ArrayType, a tuple or record of these, or
+    Any."""
     return _type(_parsed(annotation), world) if isinstance(annotation, str) else _spread(annotation)
 
 
@@ -58,7 +59,7 @@ def _type(node: ast.expr | None, world: dict[str, Any]) -> Any:
 
 
 def _spread(named: Any) -> Any:
-    """What a name stands for, where that may be a record, or `tuple[..]` of others."""
+    """Return what a name stands for, which may be a record or `tuple[..]` of others."""
     if isinstance(named, GenericAlias):
         return tuple(_spread(each) for each in named.__args__)
     return field_types(named) if is_record(named) else named

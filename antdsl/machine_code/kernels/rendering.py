@@ -21,8 +21,8 @@ _TABLES = {
 
 
 def rendered(functions: Sequence[Function], checks: Checks | None = None, tables: LineTables | None = None) -> list[str]:
-    """The texts of functions, and of what they call of LLVM. Without `checks`, the checks in them are left out, and without
-    `tables` their lines."""
+    """Return the texts of functions and of the LLVM functions that they call. Without `checks`, their checks are left out;
+    without `tables`, their lines."""
     declared = {ZEROS.name: _TABLES[ZEROS.name]}
     texts = [function_text(each, declared, checks, tables) for each in functions]
     return [*declared.values(), *texts, *([] if checks is None else [checks.text()])]
@@ -31,7 +31,7 @@ def rendered(functions: Sequence[Function], checks: Checks | None = None, tables
 def function_text(
     function: Function, declared: dict[str, str], checks: Checks | None = None, tables: LineTables | None = None
 ) -> str:
-    """The text of a function. What it calls of LLVM, and the tables that it reads, are added to `declared`."""
+    """Return the text of a function. Add the LLVM functions that it calls, and the tables that it reads, to `declared`."""
     arguments = ", ".join(each.typed for each in function.arguments)
     metadata = ""
     if tables is not None:
@@ -67,7 +67,7 @@ def _line(each: Instruction, declared: dict[str, str]) -> str:
 
 @cache
 def _pattern(op: str, types: tuple[str, ...], gives: str, extra: Any) -> tuple[str, tuple[str, str] | None]:
-    """The text of an operation on these types, with `%s` for the names of its operands; and what it calls of LLVM, with the
+    """Return the text of an operation on these types, with `%s` for each operand, and the LLVM function that it calls, with its
     declaration."""
     operation = OPS[op]
     operands = [Number(base, "%s", None, lanes) for lanes, base in map(parted, types)]

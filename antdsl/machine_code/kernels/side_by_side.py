@@ -1,8 +1,8 @@
-"""Writes loops whose turns do not depend on each other: eight at once, what is over one by one.
+"""Loops with turns that do not depend on each other: eight at once, the rest one by one.
 
-Each number of a turn becomes one of eight, each question a mask: what stands behind it is done where it holds for some of the
-turns, and counts for those. So do loops, until no turn is left in them, and functions, until all turns have given back a value
-(M. Pharr, W. R. Mark, ispc: A SPMD compiler for high-performance CPU programming, InPar 2012)."""
+Each number of a turn becomes one of eight, each condition a mask. Code under a condition runs where it holds for some of the
+turns, and counts for those. So do loops, until no turn is left in them, and functions, until all turns have returned a value (M.
+Pharr, W. R. Mark, ispc: A SPMD compiler for high-performance CPU programming, InPar 2012)."""
 
 from __future__ import annotations
 
@@ -26,14 +26,14 @@ _LEAVES = (ast.Break, ast.Continue, ast.Return)
 
 @dataclass(slots=True)
 class Turns:
-    """Of a loop, or of a function: places of the turns that are in it, and of those that go on with what is written now."""
+    """The masks of a loop or function: iterations that are in it, and those that run the code that follows now."""
 
     inside: Number
     now: Number
 
 
 class SideBySide(Writer):
-    """Writes a function for one turn or for several."""
+    """Writer of a function for one iteration or for several in lanes."""
 
     def __init__(self, unit: Unit, part: Any, mask: Number | None = None) -> None:
         super().__init__(unit, *part.source())
@@ -46,7 +46,7 @@ class SideBySide(Writer):
             self._enter()
 
     def _enter(self) -> Turns:
-        """A loop or a function begins for those who are here."""
+        """Begin a loop or a function for the active lanes."""
         assert self.mask is not None
         turns = Turns(self.slot(TRUTH, WIDTH), self.slot(TRUTH, WIDTH))
         self.put(turns.inside, self.mask)
@@ -85,7 +85,7 @@ class SideBySide(Writer):
     # --- statements ----------------------------------------------------------------------------------------------------
 
     def _within(self, mask: Number, write: Callable[[], None]) -> None:
-        """Write what is done where a mask holds for some of the turns."""
+        """Write code that runs if a mask holds for at least one iteration."""
         before, reached, then, done = self.mask, self.reached, self.label("then"), self.label("done")
         if mask.known is None:
             self.branch(self.some(mask), then, done)
@@ -117,7 +117,7 @@ class SideBySide(Writer):
         self._again([*then, *other])
 
     def _again(self, body: list[ast.stmt]) -> None:
-        """After what some turns may have left: who is still here."""
+        """Remove from the mask the iterations that have left in `body`."""
         if _has_leaves(body):
             assert self.mask is not None
             self.mask = self.both(self.mask, self.load(self.turns[-1].now, TRUTH, WIDTH))
@@ -158,7 +158,7 @@ class SideBySide(Writer):
         self._left(before, body)
 
     def _left(self, before: Number, body: list[ast.stmt]) -> None:
-        """Behind a loop: all are here again who have not left the function in it."""
+        """Restore the mask after a loop, without the iterations that left the function in it."""
         self.turns.pop()
         self.mask, self.open = before, True
         if any(isinstance(each, ast.Return) for statement in body for each in ast.walk(statement)):
@@ -202,7 +202,7 @@ class SideBySide(Writer):
         self._left(before, body)
 
     def _uniform(self, name: str, begin: Number, end: Number, step: int, write: Callable[[], None]) -> None:
-        """A loop over the same numbers for all turns, which none leaves: their mask stays as it is."""
+        """Write a loop over the same numbers for all iterations, which none leaves. Their mask does not change."""
         with self._scalar_loop(begin, end, step) as at:
             self.variables[name] = at
             fresh = set(self.fresh)
@@ -212,7 +212,7 @@ class SideBySide(Writer):
 
     @contextmanager
     def _scalar_loop(self, begin: Number, end: Number, step: int) -> Iterator[Number]:
-        """A loop, whose body is written within, over numbers that are the same for all turns."""
+        """Write a loop over numbers that all lanes share. Its body is written in the context."""
         number = self.slot(INT)
         self.put(number, begin)
         head, inner, done = self.label("for"), self.label("body"), self.label("end")
@@ -261,7 +261,7 @@ class SideBySide(Writer):
         return rebuilt(item, map(self._wide, item)) if isinstance(item, tuple) else self.widened(item)
 
     def end(self) -> None:
-        """Give back, of a function for several turns, what they all give."""
+        """Return the results of all iterations from a function that runs several."""
         if self.mask is None:
             super().end()
             return
@@ -322,13 +322,13 @@ class SideBySide(Writer):
 
 
 def _has_leaves(body: list[ast.stmt]) -> bool:
-    """Whether turns may leave a loop or its function in these statements."""
+    """Return whether iterations may leave a loop or their function in these statements."""
     return any(isinstance(each, _LEAVES) for statement in body for each in ast.walk(statement))
 
 
 def written(unit: Unit, part: Any, inputs: list[Item], wide: bool = False) -> tuple[str, Item]:
-    """The function of a part for items of these types, written once: its name, and what it gives back. `wide`: for several turns
-    side by side; its last argument is the mask of those that it counts for."""
+    """Return the name and the result of a part's function for items of these types, written once. `wide`: for several turns in
+    SIMD lanes; the last argument is the mask of those that count."""
     key = (part, ",".join(types_of(each) for each in inputs) + ("," if wide else ""))
     if key not in unit.made:
         name = f"@{part.function.__name__}.{len(unit.made)}"

@@ -1,7 +1,7 @@
-"""A key of all that a kernel's text is made of: code that another run has kept is found by it without the text being written.
+"""A key of all sources of a kernel's text: cached code is found by it without writing the text.
 
-That is the content of the files that its functions stand in, the values of the names that these functions have, and the files
-that write texts. A kernel with a name for anything else has no key, and is known by its text."""
+The key covers the content of the files with its functions, the values of the names in these functions, and the files that write
+texts. A kernel with a name for anything else has no key, and is identified by its text."""
 
 from __future__ import annotations
 
@@ -26,11 +26,11 @@ _LARGEST = 4 * MIB  # of a file
 
 
 class _Unknown(Exception):
-    """Something of which it cannot be told whether it is the same in another run."""
+    """A value that cannot be compared between runs."""
 
 
 def key(part: Any, types: list[Any]) -> str | None:
-    """What stands for the text of a kernel whose arguments have these types; None where nothing does. A text begins otherwise."""
+    """Return a key for the text of a kernel with arguments of these types; None where there is none. A text begins otherwise."""
     told: list[str] = [_writers(), f"checked {CHECKED}", *map(_written, types)]
     known: dict[int, int] = {}
     try:
@@ -74,7 +74,8 @@ def _digest_of(path: str, changed: int, size: int) -> str:
 
 
 def _function(part: Any, told: list[str], known: dict[int, int]) -> None:
-    """Tell of a function of kernels, and of what its names stand for. One that was told of is told of by its number."""
+    """Append the description of a function of kernels, and of the values of its names. One that is already described is referred
+    to by its number."""
     function: FunctionType = part.function
     if id(function) in known:
         told.append(f"function {known[id(function)]}")
@@ -91,7 +92,7 @@ def _function(part: Any, told: list[str], known: dict[int, int]) -> None:
 
 
 def _names(code: CodeType) -> Iterator[str]:
-    """All names that a function has for anything. Whoever reads its text may look each up in its module."""
+    """Yield all names that a function uses for anything. A reader of its text may look up each in its module."""
     for names in (code.co_names, code.co_varnames, code.co_freevars, code.co_cellvars):
         yield from names
     for each in code.co_consts:

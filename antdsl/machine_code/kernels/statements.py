@@ -15,11 +15,11 @@ from antdsl.machine_code.kernels.types import DOUBLE, FLOAT, INT, TRUTH, UNSIGNE
 from antdsl.machine_code.kernels.units import Loop, Unit, Variable, result_type
 from antdsl.machine_code.kernels.values import Array, Item, Number, constant, has_arrays, leaves, types_of
 
-_WRITTEN_OUT = 4  # turns of a loop whose numbers the text names
+_WRITTEN_OUT = 4  # turns up to which a loop over constants in the text is unrolled
 
 
 class Writer(Expressions):
-    """Writes one function for items of certain types."""
+    """Writer of one function for arguments of certain types."""
 
     def __init__(self, unit: Unit, file: str, definition: ast.FunctionDef, world: dict[str, Any]) -> None:
         super().__init__(definition.name, file)
@@ -72,7 +72,7 @@ class Writer(Expressions):
     # --- assignment ----------------------------------------------------------------------------------------------------
 
     def assign(self, node: ast.AST, name: str, item: Item) -> None:
-        """Give a name a value; the first one decides of its type."""
+        """Assign a value to a name; the first assignment decides its type."""
         if name not in self.variables:
             self.variables[name] = self._room(item)
         self._put(node, name, self.variables[name], item)
@@ -189,7 +189,7 @@ class Writer(Expressions):
                 self.fail(node, f"`{ast.unparse(node).splitlines()[0]}` is not in the subset")
 
     def leave(self, loop: bool) -> None:
-        """Go on behind the innermost loop, or with its next turn."""
+        """Leave the innermost loop, or continue with its next iteration."""
         self.jump(self.loops[-1].end if loop else self.loops[-1].following)
         self.open = False
 
@@ -273,11 +273,11 @@ class Writer(Expressions):
     def counted(
         self, name: str, begin: Number, end: Number, step: int, body: list[ast.stmt], write: Callable[[], None] | None = None
     ) -> None:
-        """A loop over numbers. `write` writes a turn, where that is more than its `body`."""
+        """Write a loop over numbers. `write` writes an iteration, where that is more than its `body`."""
         self._counted(name, begin, end, step, write or (lambda: self.block(body)))
 
     def side_by_side(self, name: str, begin: Number, end: Number, body: list[ast.stmt]) -> None:
-        """A loop of which several turns can be done at once."""
+        """Write a loop in which several iterations can run at once."""
         raise NotImplementedError
 
     def written_out(self, node: ast.AST, target: ast.expr, items: list[Item], body: list[ast.stmt]) -> None:
@@ -292,7 +292,7 @@ class Writer(Expressions):
         self.unbind(target)
 
     def bind(self, node: ast.AST, target: ast.expr, item: Item) -> None:
-        """Names for what a turn of a loop that is written out is about: numbers of the text stay such."""
+        """Bind the names of an unrolled loop's iteration. Literals stay literals."""
         if isinstance(target, ast.Name):
             self.variables[target.id] = item
         elif isinstance(target, ast.Tuple) and isinstance(item, tuple) and len(item) == len(target.elts):
@@ -302,7 +302,7 @@ class Writer(Expressions):
             self.fail(node, "cannot be bound")
 
     def unbind(self, target: ast.expr) -> None:
-        """Behind a loop its names are not known: which turn was the last one is not either."""
+        """Remove the names of a loop after it, since its last iteration is not known."""
         for each in ast.walk(target):
             if isinstance(each, ast.Name):
                 self.variables.pop(each.id, None)
@@ -347,7 +347,7 @@ class Writer(Expressions):
         self.do("return", whole)
 
     def alike_to(self, node: ast.AST, item: Item, other: Item) -> Item:
-        """An item as another one is that the function gives back."""
+        """Convert an item to the type of another result of the function."""
         if isinstance(item, tuple) and type(item) is type(other) and len(item) == len(other):
             return rebuilt(item, (self.alike_to(node, a, b) for a, b in zip(item, other, strict=True)))
         if isinstance(item, Number) and isinstance(other, Number) and (item.known is not None or item.kind == other.kind):
@@ -357,7 +357,7 @@ class Writer(Expressions):
 
 @lru_cache(maxsize=512)
 def stored_names(definition: ast.FunctionDef) -> Counter[str]:
-    """The names that a function's text gives values, and how often it does."""
+    """Return the names that a function's text assigns, and how often."""
     return Counter(each.id for each in ast.walk(definition) if isinstance(each, ast.Name) and isinstance(each.ctx, ast.Store))
 
 

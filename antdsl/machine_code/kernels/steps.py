@@ -1,4 +1,4 @@
-"""What the interpreter makes of instructions: a function of the registers for each."""
+"""Translation of instructions for the interpreter: each becomes a function of the registers."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _Step = Callable[[list[Any]], Any]
 
 
 class Memory:
-    """Bytes as numbers of any type; `empty`: those that nothing was stored to, of `scratch`."""
+    """Bytes of memory as numbers of any type. `empty` marks the bytes of `scratch` that were never stored to."""
 
     def __init__(self, data: Any, empty: bytearray | None = None) -> None:
         self._data, self._empty = data, empty
@@ -35,7 +35,8 @@ class Memory:
         return self._views[type]
 
     def load(self, at: int, type: str, any_: bool = False) -> Any:
-        """The number at a byte. IndexError for one outside, or that nothing was stored to unless `any_`."""
+        """Return the number at a byte offset. Raises IndexError outside the memory, or for bytes never stored to unless
+        `any_`."""
         view = self._view(type)
         index, rest = divmod(at, view.itemsize)
         if rest or not 0 <= index < len(view) or (self._empty is not None and self._empty[at] and not any_):
@@ -78,8 +79,8 @@ class _Slot:
 
 
 class Code(NamedTuple):
-    """A function that is ready to run: registers that are constants, makers of its places, and its blocks of steps, of which the
-    last one gives the number of the next block, or what the function gives back."""
+    """A function ready to run: constant registers, makers of its stack slots, and its blocks of steps. The last step of a block
+    returns the number of the next block, or the function's result."""
 
     registers: list[Any]
     slots: list[tuple[int, Callable[[], Any]]]

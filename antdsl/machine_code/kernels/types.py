@@ -24,13 +24,13 @@ class Scalar:
 
     @property
     def loaded(self) -> str:
-        """The kind of a number of it before it is made one that is worked with."""
+        """The kind of a loaded number before its conversion to the computed kind."""
         return self.kind if LLVM[self.kind] == self.stored else self.stored
 
 
 @dataclass(frozen=True, slots=True)
 class ArrayType:
-    """An array of so many axes; `strided`: the step along each of its axes counts, else it lies in one piece."""
+    """An array type with a number of axes. With `strided`, each axis has its own step; otherwise the array is contiguous."""
 
     axes: int
     of: Scalar

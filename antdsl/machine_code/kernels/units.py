@@ -1,4 +1,4 @@
-"""What the functions of a kernel have together while they are written, and what is known within one."""
+"""State that the functions of a kernel share while they are written, and the state of one function."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from antdsl.machine_code.kinds import WIDTH
 
 @dataclass(slots=True)
 class Variable:
-    """A number that may change: its kind, and its place on the stack."""
+    """A number that may change: its kind, and its stack slot."""
 
     kind: str
     place: Number
@@ -33,8 +33,8 @@ class Loop:
 
 @dataclass(slots=True, eq=False)
 class Unit:
-    """All functions of a text: `made` by what they are known by, with what each gives back; `written`: the arguments whose
-    arrays some function stores to, by number. `lanes`: the lanes of independent loops, 1 or 8."""
+    """All functions of a text. `made`: their names and results, by key. `written`: the numbers of the arguments with arrays that
+    some function stores to. `lanes`: the lanes of independent loops, 1 or 8."""
 
     lanes: int = WIDTH
     functions: list[Function] = field(default_factory=list)
@@ -43,6 +43,6 @@ class Unit:
 
 
 def result_type(item: Item) -> str:
-    """What a function that gives back an item has as its type."""
+    """Return the result type of a function that returns an item."""
     numbers = [each.type for each in leaves(item)]
     return "void" if not numbers else numbers[0] if len(numbers) == 1 else f"{{{', '.join(numbers)}}}"

@@ -17,9 +17,10 @@ _SUFFIXES = {"double": "f64", "float": "f32", "ptr": "p0"}
 
 @dataclass(slots=True, unsafe_hash=True)
 class Number:
-    """A number by its kind and its name in the text; `known` is its value where the text has it. `lanes`: how many of them there
-    are, one for each lane; `first` is that of the first turn where each has one more than the turn before. `type` is that in
-    LLVM's language. Never changed: `frozen` would make it slow to make."""
+    """A number, by its kind and its name in the text. `known` is its value if it is a literal. `lanes` is its number of lanes.
+
+    `first` is the number of the first iteration, if each lane has one more than the lane before. `type` is the type in LLVM's
+    language. Numbers never change; `frozen` would make them slow to create."""
 
     kind: str
     name: str
@@ -46,7 +47,7 @@ class Number:
 
     @property
     def suffix(self) -> str:
-        """What stands behind the name of an intrinsic function of such numbers."""
+        """The suffix of the name of an intrinsic function for such numbers."""
         one = _SUFFIXES.get(self.base, self.base)
         return f"v{self.lanes}{one}" if self.lanes > 1 else one
 
@@ -60,7 +61,7 @@ def text_type(kind: str, lanes: int = 1) -> str:
 
 @dataclass(frozen=True, slots=True)
 class Array:
-    """An array by the name of its address, the lengths of its axes, and the elements from one index to the next along each."""
+    """An array, by the name of its address, the lengths of its axes, and the step along each axis in elements."""
 
     of: Scalar
     address: Number
@@ -70,7 +71,7 @@ class Array:
 
 
 def constant(value: Any) -> Number:
-    """A number of the text. TypeError for what is none."""
+    """Return a literal as a number. Raises TypeError for any other value."""
     if isinstance(value, bool):
         return Number(TRUTH, "true" if value else "false", value)
     kind = type(value).__name__
@@ -89,7 +90,7 @@ def constant(value: Any) -> Number:
 
 
 def leaves(item: Item) -> Iterator[Number]:
-    """The numbers that an item is made of, in order: of an array its address, lengths and steps."""
+    """Yield the numbers of an item, in order; for an array its address, lengths and steps."""
     if isinstance(item, tuple):
         for each in item:
             yield from leaves(each)

@@ -1,4 +1,4 @@
-"""Numbers of several lanes: a single one in all of them, one of them, and others in another order."""
+"""Vector operations: broadcast to lanes, extract a lane, and permute lanes."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class Vectors(Builder[Value]):
         return self.op("extractelement", value.kind, value, x=lane, lanes=1)
 
     def together(self, values: Iterable[Value], lanes: int = WIDTH, onto: Value | None = None) -> Value:
-        """Single numbers in one lane each, from the first on; `onto`: what the other lanes have."""
+        """Return single numbers in one lane each, from the first on; the remaining lanes come from `onto`."""
         for lane, value in enumerate(values):
             before = self.named(value.kind, "poison", lanes) if onto is None else onto
             onto = self.op("insertelement", value.kind, before, value, x=lane)
@@ -35,16 +35,16 @@ class Vectors(Builder[Value]):
         return onto
 
     def mixed(self, a: Number, b: Number, order: Sequence[int]) -> Value:
-        """Some lanes of two numbers, by their places in both."""
+        """Return selected lanes of two numbers, by their indices in both."""
         text = f"<{len(order)} x i32> <{', '.join(f'i32 {each}' for each in order)}>"
         return self.op("shufflevector", a.kind, a, b, x=text, lanes=len(order))
 
     def turned(self, value: Number, by: int) -> Value:
-        """Of each lane the number of the lane so many further on."""
+        """Return the value rotated by `by` lanes: each lane gets the number of the lane `by` further on."""
         return self.mixed(value, Number(value.kind, "poison", lanes=WIDTH), [(k + by) % WIDTH for k in range(WIDTH)])
 
     def columns(self, rows: Sequence[Number]) -> list[Value]:
-        """Of eight rows of four numbers the four columns, in as few instructions as registers with lanes of this size need."""
+        """Return the four columns of eight rows of four numbers, in as few instructions as the lane size allows."""
         eight = range(WIDTH)
         if rows[0].kind == F32:
             a, b, c, d = (self.mixed(rows[k], rows[k + 4], eight) for k in range(4))

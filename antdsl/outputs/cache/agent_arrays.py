@@ -1,7 +1,7 @@
-"""What agents are in a frame: arrays with one row an agent, species after species by name, by id within each; scene units.
+"""Agents in a frame, as arrays in scene units. Rows are agents: species in order of their names, agents by id within each.
 
-Each species writes its own rows of an array. A register is read as rows lie, and each value goes to the place of the agent's
-rank by id."""
+Each species writes its own rows of an array. A register is read in row order, and each value is written to the agent's rank by
+id."""
 
 from __future__ import annotations
 
@@ -24,8 +24,8 @@ _KINDS: Mapping[str, tuple[Any, tuple[int, ...]]] = {
 
 
 class AgentArrays:
-    """Makes these arrays. `scale`: scene units in a millimetre; `factors`: what a number of a species is multiplied by, 1 where
-    none is given; `pairs`: names that a species has a value per pair for."""
+    """Builder of the agents' arrays. `scale`: scene units per millimetre. `factors`: multipliers of a species' numbers, 1 by
+    default. `pairs`: names for which a species has one value per pair."""
 
     def __init__(
         self, world: World, scale: float, factors: Mapping[tuple[str, str], float], pairs: Mapping[str, Container[str]]
@@ -52,7 +52,7 @@ class AgentArrays:
         return found
 
     def _write(self, world: World, attribute: str, number: int, population: Population, out: NDArray[Any]) -> None:
-        """Write an attribute of a species, the one of a number, into its rows of an array."""
+        """Write an attribute of the species with this number into its rows of an array."""
         threads = world.options.threads
         if attribute in ("P", "v", "orient"):
             write_placed(population, attribute, self.scale, out, threads)
@@ -85,7 +85,7 @@ def write_placed(population: Population, attribute: str, scale: float, out: NDAr
 
 
 def write_colours(population: Population, colours: NDArray[np.float32], out: NDArray[np.float32], threads: int = 1) -> None:
-    """Write the colours of agents' states, [n, 3]. IndexError for a state that is none."""
+    """Write the state colours of agents, [n, 3]. Raises IndexError for an invalid state."""
     machines = population.plan.machines
     if not machines:
         out[:] = colours[0]

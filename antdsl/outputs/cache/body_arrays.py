@@ -1,4 +1,4 @@
-"""Agent definitions in a cache: so that a picture needs nothing but the cache, `static.npz` has each once, as `body.N.PART`."""
+"""Agent definitions in a cache: `static.npz` has each once, as `body.N.PART`, so that pictures need nothing but the cache."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ Arrays = Mapping[str, NDArray[Any]]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class KeptBodies:
-    """Definitions for a cache: an entry of the manifest and arrays for each, and by species which it wears."""
+    """Definitions for a cache: a manifest entry and arrays for each, and the number of the definition of each species."""
 
     entries: tuple[BodyEntry, ...]
     worn: Mapping[str, int]
@@ -29,7 +29,7 @@ class KeptBodies:
 
     @staticmethod
     def of(definitions: Mapping[str, Definition], names: Mapping[str, str]) -> KeptBodies:
-        """Of definitions by species; `names`: the files they were read from."""
+        """Build from definitions by species; `names` are the files they were read from."""
         numbers: dict[int, int] = {}
         entries: list[BodyEntry] = []
         worn: dict[str, int] = {}
@@ -44,7 +44,7 @@ class KeptBodies:
 
 
 def definition_of(manifest: Manifest, static: Arrays, number: int) -> Definition:
-    """The definition at a place in the manifest's list. Raises BodyError where it is not there, damaged, or another one."""
+    """Return the definition at an index of the manifest's list. Raises BodyError where it is missing, damaged, or another one."""
     arrays = {part: static[name] for part in PARTS if (name := f"body.{number}.{part}") in static}
     if number >= len(manifest.bodies) or len(arrays) != len(PARTS):
         raise BodyError("is not there")
@@ -55,7 +55,7 @@ def definition_of(manifest: Manifest, static: Arrays, number: int) -> Definition
 
 
 def unpacked(arrays: Mapping[str, NDArray[Any]]) -> Definition:
-    """The definition that `packed` made these arrays of. Raises BodyError for any others: nothing in them is trusted."""
+    """Return the definition from arrays that `packed` made. Raises BodyError for any other arrays: nothing in them is trusted."""
     found, report = read_packed(arrays), Report()
     with np.errstate(all="ignore"):
         if whole(Parts(found, measured=False), report) is None:

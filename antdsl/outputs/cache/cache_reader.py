@@ -1,12 +1,9 @@
-"""A cache read: which frames there are, what is in one, which checkpoints and hashes. Nothing in it is trusted before it is
-checked.
+"""Reading of a cache: its frames and their content, checkpoints and hashes. Nothing in it is trusted before it is checked.
 
-manifest.json                   what it was made from and how to read it
-static.npz                      meshes, places of field cells
-frames/frame.1001.npz           one a frame: agents, fields, items
-checkpoints/checkpoint.1050.npz all that is needed to go on from there
-hashes.jsonl                    a hash of the whole state, of the frame's file and of its checkpoint's, by frame
-"""
+manifest.json                   the inputs it was made from and how to read it static.npz                      meshes, positions
+of field cells frames/frame.1001.npz           one per frame: agents, fields, items checkpoints/checkpoint.1050.npz everything
+needed to continue from there hashes.jsonl                    by frame, hashes of the complete state, the frame file and the
+checkpoint file"""
 
 from __future__ import annotations
 
@@ -34,11 +31,11 @@ Arrays = Mapping[str, NDArray[Any]]
 
 
 class CacheError(Exception):
-    """Why a part of a cache cannot be used, in words that stand alone."""
+    """Reason why a part of a cache cannot be used; the message is complete without context."""
 
 
 def frame_path(folder: Path, frame: int) -> Path:
-    """Where a frame is kept; numbers have at least four digits, as frames in pictures do."""
+    """Return the path of a frame's file. Numbers have at least four digits, as in files of pictures."""
     return folder / f"frames/frame.{frame:04d}.npz"
 
 
@@ -47,8 +44,8 @@ def checkpoint_path(folder: Path, frame: int) -> Path:
 
 
 def numbered(folder: Path, path: Callable[[Path, int], Path]) -> tuple[list[int], list[Path]]:
-    """The numbers of the frames or checkpoints (as `path` writes their names) of a cache's folder, in order; and what lies among
-    them under a name that none is written by, `frame.12.npz` for one."""
+    """Return the numbers of the frames or checkpoints in a cache's folder, in order; `path` writes their names. Also return files
+    among them with invalid names, such as `frame.12.npz`."""
     place = path(folder, 0).parent
     found, strays = [], []
     for each in place.iterdir() if place.is_dir() else ():
@@ -76,7 +73,7 @@ class Cache:
         return numbered(self.folder, checkpoint_path)[0]
 
     def strays(self) -> list[str]:
-        """Why files beside frames and checkpoints count for nothing, in words that stand alone."""
+        """Return messages on files next to frames and checkpoints that are ignored, each complete without context."""
         return [
             f"`{stray}` is no {what} of this cache: {what}s have names such as `{path(self.folder, 12).name}`"
             for what, path in (("frame", frame_path), ("checkpoint", checkpoint_path))
@@ -84,16 +81,17 @@ class Cache:
         ]
 
     def frame(self, number: int, only: frozenset[str] | None = None) -> Arrays:
-        """The arrays of a frame, or `only` those of some names, as the format says; CacheError when it is missing or damaged."""
+        """Return the arrays of a frame, or `only` those with some names, in the documented format. Raises CacheError when the
+        frame is missing or damaged."""
         return _read(frame_path(self.folder, number), number, only)
 
     def checkpoint(self, number: int) -> Arrays:
-        """All that is needed to go on from a frame; CacheError when it is missing or damaged."""
+        """Return everything needed to continue from a frame. Raises CacheError when it is missing or damaged."""
         return _read(checkpoint_path(self.folder, number), number)
 
     def static(self) -> Arrays:
-        """Meshes (`mesh.NAME.vertices`, `.faces`) and places of field cells (`field.NAME.P`), in scene units. CacheError also
-        where there is none of something that the manifest names."""
+        """Return meshes (`mesh.NAME.vertices`, `.faces`) and positions of field cells (`field.NAME.P`), in scene units. Raises
+        CacheError, also where something that the manifest names is missing."""
         arrays = _read(self.folder / STATIC, None)
         for name in _static_names(self.manifest, arrays):
             if name not in arrays:
@@ -101,26 +99,28 @@ class Cache:
         return arrays
 
     def made_from(self) -> list[Path]:
-        """The files of the scene that it was made from, as far as they can be told and are where they were."""
+        """Return the files that the scene was made from, as far as they are known and still exist there."""
         if self.manifest.scene_path is None:
             return []
         scene = Path(os.path.normpath(self.folder.resolve() / self.manifest.scene_path))
         return [each for each in (scene, *(scene.parent / name for name in self.manifest.inputs)) if each.is_file()]
 
     def hashes(self) -> dict[int, str]:
-        """The hash of the state at each frame; a last line that was cut off by a crash is left out."""
+        """Return the state hash of each frame, without a last line that a crash cut off."""
         return {frame: line.hash for frame, line in self.lines().items()}
 
     def lines(self) -> dict[int, Line]:
-        """What is known of each frame and its file, as far as it is whole."""
+        """Return the line of each frame and its file, as far as lines are complete."""
         return read_lines(self.folder / HASHES)
 
     def damage(self, frame: int, line: Line | None) -> str | None:
-        """What is wrong with the file of a frame, None where it has the bytes that were written. `line`: what is known of it."""
+        """Return what is wrong with the file of a frame; None where it has the bytes that were written. `line` is the frame's
+        line."""
         return damage(frame_path(self.folder, frame), frame, line)
 
     def checkpoint_damage(self, frame: int, line: Line | None) -> str | None:
-        """The same for a checkpoint, which must hold together besides. One from before its hash was kept may have other bytes."""
+        """Return what is wrong with a checkpoint, or None. It must also be readable. Without a stored hash, changed bytes are not
+        detected."""
         return checkpoint_damage(checkpoint_path(self.folder, frame), frame, line) or _unread(lambda: self.checkpoint(frame))
 
     def static_damage(self) -> str | None:
@@ -143,7 +143,7 @@ def _unread(read: Callable[[], object]) -> str | None:
 
 
 def _static_names(manifest: Manifest, arrays: Arrays) -> Iterator[str]:
-    """The arrays that go with what a manifest names, and with each other."""
+    """Yield the names of the arrays that the manifest's entries need, and that must match each other."""
     for mesh in manifest.meshes:
         if mesh.kind != "solid":
             yield from (f"mesh.{mesh.name}.vertices", f"mesh.{mesh.name}.faces")

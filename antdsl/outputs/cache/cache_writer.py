@@ -1,5 +1,5 @@
-"""Writes a cache so that a crash at any instant leaves one that can be continued: frames are put in place whole behind the
-simulation, checkpoints only after all frames before them are on the disk, hashes line by line."""
+"""Writing of a cache that can be continued after a crash at any time. Frames are written atomically behind the simulation,
+checkpoints only after all earlier frames are on the disk, and hashes line by line."""
 
 from __future__ import annotations
 
@@ -47,11 +47,11 @@ class ForeignFolder(Exception):
 
 
 class InTheWay(Exception):
-    """Something in a cache's folder stands where a file of the cache goes; the message names it."""
+    """Error for an object in a cache's folder at the path of one of its files; the message names it."""
 
 
 class DifferentInputs(Exception):
-    """The cache was made from other inputs: `names` are those of inputs, `choices` say in words what was chosen otherwise."""
+    """Error for a cache made from other inputs: `names` are the differing inputs, `choices` describe the options that differ."""
 
     def __init__(self, manifest: Manifest, names: list[str], choices: Sequence[str] = ()) -> None:
         found = [f"the cache was made {' and '.join(choices)}"] if choices else []
@@ -61,8 +61,9 @@ class DifferentInputs(Exception):
 
 
 def prepare_folder(folder: Path, *, force: bool) -> None:
-    """Make the folder, or see that it is ours to write to; ForeignFolder when it holds somebody else's files, InTheWay
-    when something stands where a file of the cache goes: nothing has been changed then."""
+    """Make the folder, or check that antdsl may write to it. Changes nothing on an error.
+
+    Raises ForeignFolder if it holds other files, InTheWay if something else has the name of a file of the cache."""
     if folder.exists() and not folder.is_dir():
         raise ForeignFolder(f"`{folder}` is a file")
     make_folder(folder)
@@ -89,7 +90,7 @@ def prepare_folder(folder: Path, *, force: bool) -> None:
 
 
 def _files(folder: Path) -> Iterator[Path]:
-    """What a run removes or writes in a cache's folder, as far as it can be there before."""
+    """Yield the existing files that a run removes or writes in a cache's folder."""
     yield from (folder / name for name in (MARKER, LOCK, STATIC, MANIFEST, HASHES))
     for path in (frame_path, checkpoint_path):
         yield from (path(folder, number) for number in numbered(folder, path)[0])
@@ -97,13 +98,15 @@ def _files(folder: Path) -> Iterator[Path]:
 
 
 def _parts(folder: Path) -> list[Path]:
-    """Files that were not finished when a run was killed."""
+    """Return unfinished files of killed runs."""
     return [part for place in (folder, folder / "frames", folder / "checkpoints") for part in place.glob(f".*{PART}")]
 
 
 def clear(folder: Path, above: int | None = None, damaged: Container[int] = ()) -> None:
-    """Remove the frames and checkpoints (above a frame, if given, and those checkpoints that are `damaged`) of an earlier run,
-    and its hashes of them; nothing else. The hashes go first: a file without one counts for nothing, should this be cut short."""
+    """Remove the frames, checkpoints and hashes of an earlier run, and nothing else.
+
+    With `above`, only those after that frame, and the `damaged` checkpoints. Hashes are removed first: if this is interrupted, a
+    file without a hash is ignored."""
     kept = {} if above is None else {f: line for f, line in read_lines(folder / HASHES).items() if f <= above}
     write_whole(folder / HASHES, b"".join(line.text(frame) for frame, line in kept.items()))
     for number in numbered(folder, frame_path)[0]:
@@ -117,7 +120,7 @@ def clear(folder: Path, above: int | None = None, damaged: Container[int] = ()) 
 
 
 class OtherHashes(Exception):
-    """The cache's states are hashed in another way than states are now, so that none can be held against them."""
+    """Error for a cache with another method of state hashes, so that states cannot be compared."""
 
     def __init__(self, folder: Path) -> None:
         super().__init__(f"`{folder}` was written by an antdsl that hashes states in another way")
@@ -125,8 +128,8 @@ class OtherHashes(Exception):
 
 @dataclass(frozen=True, slots=True)
 class Whole:
-    """What can be kept of a cache: `points` are the checkpoints one may go on from, the latest first. `there`: the last frame
-    that it has, `broken` why the first one that is not whole is not, None where nothing is wrong."""
+    """The part of a cache that a run can continue. `points`: checkpoints to continue from, the latest first. `there`: the last
+    frame in the cache. `broken`: why the first incomplete frame is incomplete, None if nothing is wrong."""
 
     cache: Cache
     points: list[int]
@@ -135,10 +138,10 @@ class Whole:
 
 
 def whole_part(folder: Path, inputs: Mapping[str, str], first: int, last: int) -> Whole | None:
-    """What can be kept of the cache to continue; None where there is nothing to continue.
+    """Return the part of the cache that can be continued, or None if there is nothing to continue.
 
-    A checkpoint counts only when the file of every frame up to it has the bytes that were written. DifferentInputs when the cache
-    is of other inputs, OtherHashes when its states cannot be compared."""
+    A checkpoint counts only if the file of every frame up to it has the bytes that were written. Raises DifferentInputs if the
+    cache has other inputs, OtherHashes if its states cannot be compared."""
     try:
         cache = open_cache(folder)
     except ManifestError:
@@ -154,14 +157,14 @@ def whole_part(folder: Path, inputs: Mapping[str, str], first: int, last: int) -
     while unbroken < last and (broken := cache.damage(unbroken + 1, lines.get(unbroken + 1))) is None:
         unbroken += 1
     if there is None or there <= unbroken or (there == unbroken + 1 and there not in lines):
-        broken = None  # there is no more, or the run was killed between a frame and its line
+        broken = None  # it ends here, or the run was killed between a frame and its line
     points = [number for number in reversed(cache.checkpoints()) if first <= number <= unbroken]
     return Whole(cache, points, there, broken)
 
 
 def read_checkpoint(cache: Cache, frame: int) -> tuple[Arrays, float | None]:
-    """A checkpoint's arrays less the bookkeeping, and the greatest surface error of all frames up to it, None where it was not
-    kept; CacheError when it is damaged."""
+    """Return a checkpoint's arrays without the bookkeeping, and the greatest surface error of all frames up to it. The error is
+    None if it was not stored. Raises CacheError if the checkpoint is damaged."""
     arrays = cache.checkpoint(frame)
     kept = arrays.get(SURFACE_ERROR)
     known = kept is not None and kept.shape == () and kept.dtype.kind == "f" and 0 <= float(kept) < math.inf
@@ -170,13 +173,14 @@ def read_checkpoint(cache: Cache, frame: int) -> tuple[Arrays, float | None]:
 
 
 class CacheWriter:
-    """Between `__enter__` and `__exit__` the folder is locked and frames can be put in. After an error nothing more is
+    """Writes a cache. The folder is locked between `__enter__` and `__exit__`, and accepts frames. After an error nothing more is
     written.
 
-    `made_with` gives what the manifest says of this process. It reads all of antdsl's files, so the thread that writes calls it.
+    `made_with` returns what the manifest says about this process. It reads all of antdsl's files, so the writing thread calls it.
 
-    `told` gets what was found out about each frame, some frames later, all when `__exit__` is through: `hash` and, of all frames
-    so far, `surface_error` (None where that of the frames before is not known) once it is written; `seconds` by name."""
+    `told` receives results about each frame, some frames later, all before `__exit__` returns. `hash` and `surface_error` of all
+    frames so far come once the frame is written; the error is None if that of earlier frames is unknown. `seconds` are by
+    name."""
 
     def __init__(
         self, folder: Path, manifest: Manifest, made_with: Callable[[], Provenance], told: Callable[[Mapping[str, Any]], None]
@@ -197,7 +201,7 @@ class CacheWriter:
         except Exception:
             self._lock.__exit__(kind, value, trace)
             raise
-        # Where a second Ctrl-C broke off the waiting the folder stays locked: somebody still writes to it.
+        # If a second Ctrl-C interrupted the wait, the folder stays locked: a thread still writes to it.
         self._lock.__exit__(kind, value, trace)
 
     def _end(self, behind: Behind, *, whole: bool) -> None:
@@ -219,9 +223,9 @@ class CacheWriter:
         damaged: Container[int] = (),
         worst: float | None = 0.0,
     ) -> None:
-        """Write what stands for the whole run. Frames of an earlier run are removed first, and those checkpoints that are
-        `damaged`, but for frames and checkpoints up to the last of which the lines are `kept`. `worst`: the greatest surface
-        error of these, None where it is not known. Locked where another run has written since those lines were read."""
+        """Write the files that apply to the whole run. First remove frames of an earlier run and its `damaged` checkpoints.
+        Frames and checkpoints up to the last line of `kept` stay. `worst`: the greatest surface error of these, None if unknown.
+        Raises Locked if another run has written since those lines were read."""
         last = max(kept, default=None)
         lines = {} if last is None else read_lines(self.folder / HASHES)
         if kept != {frame: line for frame, line in lines.items() if last is not None and frame <= last}:
@@ -240,7 +244,7 @@ class CacheWriter:
         return {}
 
     def put_frame(self, world: World) -> None:
-        """Measure, hash and hand over the frame that a world stands at. An error of a frame before is raised."""
+        """Measure and hash the current frame of a world, and pass it to the writer. Raises an error of an earlier frame."""
         assert self._behind is not None, "begin comes first"
         times = [time.perf_counter()]
         self._worst = None if self._worst is None else max(self._worst, surface_error(world))
@@ -260,7 +264,7 @@ class CacheWriter:
         self._behind.hand_over(write)
 
     def put_checkpoint(self, world: World) -> None:
-        """Hand over all that is needed to go on from the frame that was put in last."""
+        """Pass everything needed to continue from the last frame to the writer."""
         assert self._behind is not None, "begin comes first"
         kept = checkpoint(world)
         arrays = {"frame": kept["frame"], **{f"world.{name}": array for name, array in kept.items()}}

@@ -1,4 +1,4 @@
-"""Solids of a cache as they are at a frame, to be drawn: dug again from the last checkpoint on."""
+"""Solids of a cache at a frame, for drawing: dug again from the last checkpoint."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from antdsl.outputs.pictures.model import Solid
 
 @dataclass(slots=True)
 class _Kept:
-    """One solid: its volume at the frame looked at last, the surface by brick, and what is drawn of it."""
+    """One solid: its volume at the last requested frame, the surface by brick, and the mesh to draw."""
 
     volume: Volume
     pieces: dict[int, Piece] = field(default_factory=dict)
@@ -39,7 +39,7 @@ class _Kept:
 
 
 class DugSolids:
-    """Solids frame by frame. Frames asked for in order are quickest; any other is dug again from the checkpoint before it."""
+    """Solids frame by frame. Frames in order are fastest; any other is dug again from the checkpoint before it."""
 
     def __init__(self, cache: Cache, static: Mapping[str, NDArray[Any]], cut: Cut | None = None) -> None:
         self.cache, self._static, self._cut = cache, static, cut
@@ -62,7 +62,7 @@ class DugSolids:
         )
 
     def volumes(self) -> Iterator[tuple[str, Volume, NDArray[np.float64]]]:
-        """Name, volume and offset (mm) of each solid as it is at the frame looked at last."""
+        """Yield name, volume and offset (mm) of each solid at the last requested frame."""
         for name, kept in self._kept.items():
             yield name, kept.volume, np.asarray(self._static[f"solid.{name}.offset"])
 
@@ -77,7 +77,7 @@ class DugSolids:
                 kept.volume.carve(balls[:, :3], balls[:, 3], np.zeros(len(balls), np.int64))
 
     def _begin(self, frame: int) -> int:
-        """Put the volumes where the last whole checkpoint left them, or at the start; gives the last frame that is dug."""
+        """Restore the volumes to the last complete checkpoint, or to the start. Return the last frame to dig."""
         for number in sorted((n for n in self.cache.checkpoints() if n <= frame), reverse=True):
             try:
                 arrays = self.cache.checkpoint(number)

@@ -1,10 +1,13 @@
 """Events in the frames of a cache, for effects and sound: `events.KIND.FIELD`, one row an event, of the kinds that the scene's
-`output` asks for.
+`output` requests.
 
-All have `species` int16 and `id` int64 (whose), `P` float32[k, 3] (scene units) and `N` float32[k, 3] (unit).
-`emit`: `event` int16, a place in the manifest's `events`; where the agent stood, and the normal of its ground.
-`contact`: bodies that are in each other, the first of two by species and id with `other_species` int16, `other` int64 and `depth`
-float32 (scene units); where they meet, and the direction from the other to the first."""
+All have the agent's `species` int16 and `id` int64, `P` float32[k, 3] (scene units) and `N` float32[k, 3] (unit).
+
+`emit`: `event` int16, an index into the manifest's `events`; `P` is the agent's position at the start of the step, `N` the normal
+of its ground.
+
+`contact`: overlapping bodies. The first of two by species and id has the row, with `other_species` int16, `other` int64 and
+`depth` float32 (scene units). `P` is where they meet, `N` the direction from the other to the first."""
 
 from __future__ import annotations
 
@@ -27,7 +30,7 @@ _CONTACT: Mapping[str, tuple[type[np.generic], tuple[int, ...]]] = {  # fields: 
 
 
 def events_of(world: World, kinds: tuple[str, ...], scale: float) -> Arrays:
-    """The arrays of a frame, of what was since the frame before. `scale`: scene units in a millimetre."""
+    """Return the arrays of a frame with the events since the frame before. `scale`: scene units per millimetre."""
     return {f"events.{kind}.{name}": array for kind in kinds for name, array in EVENTS[kind](world, scale).items()}
 
 
@@ -57,7 +60,8 @@ def _contacts(world: World, scale: float) -> Arrays:
 
 
 def _meeting(near: Near, kept: NDArray[np.intp]) -> NDArray[np.float64]:
-    """Where two capsules meet (3, k) mm: the middle between their surfaces, on the shortest way between their axes."""
+    """Return the contact points of two capsules (3, k) mm: midway between their surfaces, on the shortest line between their
+    axes."""
     i, j, way, gap = near.i[kept], near.j[kept], near.way[:, kept], near.gap[kept]
     a, b, ri, rj = near.ahead[:, i], near.ahead[:, j], near.radius[i], near.radius[j]
     off = way * (gap + ri + rj) - (near.middle[:, i] - near.middle[:, j])  # t a - s b

@@ -35,7 +35,7 @@ Shares = tuple[Array1[F32], Array1[F32], Array1[F32], Array1[F32], Array1[F32]]
 
 @kernel
 def places(position: Strided2[F64], ranks: Array1[I32], scale: F64, out: Array2[F32], begin: I64, end: I64) -> None:
-    """Positions of agents in scene units, each to the place of its rank. A zero has no sign."""
+    """Write positions of agents in scene units, each at its rank. Zeros have no sign."""
     for i in range(begin, end):
         k = ranks[i]
         out[k, 0] = np.float32((position[i, 0] + 0.0) * scale)
@@ -45,7 +45,7 @@ def places(position: Strided2[F64], ranks: Array1[I32], scale: F64, out: Array2[
 
 @kernel
 def vectors(of: Three, ranks: Array1[I32], scale: F32, out: Array2[F32], begin: I64, end: I64) -> None:
-    """Vectors of agents times a factor, each to the place of its rank."""
+    """Write vectors of agents times a factor, each at its rank."""
     x, y, z = of
     for i in range(begin, end):
         k = ranks[i]
@@ -56,21 +56,21 @@ def vectors(of: Three, ranks: Array1[I32], scale: F32, out: Array2[F32], begin: 
 
 @kernel
 def numbers(of: Array1[F32], ranks: Array1[I32], scale: F32, out: Array1[F32], begin: I64, end: I64) -> None:
-    """Numbers of agents times a factor, each to the place of its rank."""
+    """Write numbers of agents times a factor, each at its rank."""
     for i in range(begin, end):
         out[ranks[i]] = of[i] * scale
 
 
 @kernel
 def wholes(of: Array1[I32], ranks: Array1[I32], out: Array1[I16], begin: I64, end: I64) -> None:
-    """Whole numbers of agents, each to the place of its rank."""
+    """Write integers of agents, each at its rank."""
     for i in range(begin, end):
         out[ranks[i]] = of[i]
 
 
 @kernel
 def coloured(colours: Array2[F32], state: Array1[I32], ranks: Array1[I32], out: Array2[F32], begin: I64, end: I64) -> BOOL:
-    """Colours of the states of agents, each to the place of its rank; whether all states have one."""
+    """Write the state colours of agents, each at its rank. Return whether all states have one."""
     for i in range(begin, end):
         number, k = state[i], ranks[i]
         if number < 0 or number >= colours.shape[0]:
@@ -83,7 +83,7 @@ def coloured(colours: Array2[F32], state: Array1[I32], ranks: Array1[I32], out: 
 def playing(
     clips: Clips, shares: Shares, ranks: Array1[I32], clips_out: ClipsOut, shares_out: Shares, begin: I64, end: I64
 ) -> None:
-    """What a machine of agents plays, each to the place of its rank: clips, and turns, weights and the fade."""
+    """Write the clips that a machine of agents plays, each at its rank: clips, and turns, weights and the fade."""
     clip, before = clips
     clip_out, before_out = clips_out
     turns, weight, before_turns, before_weight, fade = shares
@@ -97,14 +97,15 @@ def playing(
 
 @kernel
 def worn(on: Array1[BOOL], ranks: Array1[I32], bit: I64, mask: Array1[I64]) -> None:
-    """Put a bit into the masks, by rank, of those who have it on."""
+    """Set a bit in the masks, by rank, of the agents that wear a layer."""
     for i in range(ranks.size):
         mask[ranks[i]] |= bit if on[i] else 0
 
 
 @kernel
 def not_zero(values: Array1[F64], cells: Array1[I32], out: Array1[F32]) -> I64:
-    """Write the numbers of the values that are not 0, and these values; how many. Both have room for one more than all."""
+    """Write the indices of the values that are not 0, and these values; return their number. Both outputs have space for one more
+    than all values."""
     count = 0
     for i in range(values.size):
         value = values[i]
@@ -116,16 +117,17 @@ def not_zero(values: Array1[F64], cells: Array1[I32], out: Array1[F32]) -> I64:
 
 @inlined
 def _signed(size: F64, sign: F64) -> F64:
-    """As np.copysign, of a size that has no sign; the sign of what is no number does not count."""
+    """Return np.copysign of a size without a sign. The sign of a NaN does not count."""
     return -size if as_bits(sign) < 0 and sign == sign else size
 
 
 @kernel
 def orientations(heading: Three, up: Three, ranks: Array1[I32], out: Array2[F32], begin: I64, end: I64) -> None:
-    """Quaternions x, y, z, w that turn +x to the heading and +y to the part of `up` across it, each to the place of its rank.
+    """Write quaternions x, y, z, w that rotate +x to the heading and +y to the part of `up` perpendicular to it, each at its
+    rank.
 
-    A turn of +x to the heading by the shortest way, then one about the heading. A heading of nothing counts as +x, an `up` along
-    the heading as some direction across it."""
+    Each is the shortest rotation of +x to the heading, then a rotation about the heading. A zero heading counts as +x; for an
+    `up` along the heading, some perpendicular direction is used."""
     px, py, pz = heading
     qx, qy, qz = up
     for i in independent(begin, end):
@@ -171,8 +173,10 @@ def feet(
     begin: I64,
     end: I64,
 ) -> None:
-    """Feet of agents from `begin` to before `end`, from arrays (.., legs, n) and (.., n): places x, y, z of each leg in scene
-    units, which feet stand (`swing` is -1), rises in scene units, and tilts as unit quaternions x, y, z, w."""
+    """Write the feet of agents from `begin` to before `end`, from arrays (.., legs, n) and (.., n).
+
+    Results: positions x, y, z of each leg in scene units; which feet are on the ground (`swing` is -1); rises in scene units;
+    tilts as unit quaternions x, y, z, w."""
     for low in range(begin, end, _BLOCK):
         high = min(low + _BLOCK, end)
         for leg in range(swing.shape[0]):
@@ -195,7 +199,8 @@ def feet(
 def farthest(
     position: Strided2[F64], ground: Strided2[F64], clearance: Array1[F32], size: Array1[F32], begin: I64, end: I64
 ) -> F64:
-    """The greatest distance of positions, as they are written, from their ground less the clearance, in sizes; NaN if one is."""
+    """Return the greatest deviation from the clearance of the distance between written positions and their ground, in sizes; NaN
+    if one is NaN."""
     worst, unknown = 0.0, False
     for i in range(begin, end):
         x = np.float64(np.float32(position[i, 0])) - ground[i, 0]

@@ -20,7 +20,7 @@ from antdsl.outputs.cache.npz import npz_file
 from antdsl.outputs.cache.zip_parts import Stored
 from antdsl.whole import AppendedFile, sync_files, write_whole
 
-_MOST = 3  # works handed over that are not done: one under way, and those that wait for it
+_MOST = 3  # jobs that are not done: one under way, and those that wait for it
 
 Results = Mapping[str, Any]
 Work = Callable[[], Results]
@@ -29,8 +29,10 @@ Found = dict[str, Any]
 
 
 class Scribe:
-    """Writes into a cache's folder, in order: frames whole, a line with the hash after each, checkpoints only when all frames
-    before them are on the disk. What is done gives `seconds` by name. To be closed."""
+    """Writer into a cache's folder, in order: frames atomically, a line with the hash after each, checkpoints only when all
+    earlier frames are on the disk.
+
+    Its results have `seconds` by name. It must be closed."""
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
@@ -52,8 +54,8 @@ class Scribe:
         self._lines.write([line.text(frame)])
 
     def checkpoint(self, frame: int, arrays: Arrays) -> Found:
-        """Write a checkpoint, durably, after everything before it, its hash included: one without is from before there were
-        any."""
+        """Write a checkpoint, durably, after everything before it, its hash included. A checkpoint without a hash comes from a
+        version that had none."""
         began = time.perf_counter()
         file = npz_file(arrays)
         lines = self._last or read_lines(self.folder / HASHES)
@@ -81,10 +83,10 @@ def _spent(what: str, since: float) -> Found:
 
 
 class Behind:
-    """Does what is handed over, one after the other. `told` gets what each gave, in the caller's thread: when the next is handed
-    over, or at the end.
+    """Does jobs one after the other. `told` receives the result of each in the caller's thread: when the next is passed, or at
+    the end.
 
-    After an error nothing more is done; it is raised by what is called next."""
+    After an error nothing more is done; the next call raises it."""
 
     def __init__(self, told: Callable[[Results], None]) -> None:
         self._told = told
@@ -97,14 +99,14 @@ class Behind:
         self._thread.start()
 
     def hand_over(self, work: Work) -> None:
-        """Have work done; waits where too much is under way."""
+        """Submit work; block while too much is pending."""
         self._hear(_MOST - 1)
         self.check()
         self._left += 1
         self._work.put(work)
 
     def finish(self) -> None:
-        """Wait until all is done and the thread has ended; raises nothing of its own."""
+        """Wait until all is done and the thread has ended. Raises no errors itself."""
         if self._thread.is_alive():
             self._work.put(None)
             self._thread.join()
@@ -116,7 +118,7 @@ class Behind:
             raise self._problem
 
     def _hear(self, most: int) -> None:
-        """Tell of what was found out since; waits until nothing is to be heard of so many works at most."""
+        """Report the results since the last call; block until at most `most` works are pending."""
         while self._left > most or not self._found.empty():
             found = self._found.get()
             self._left -= 1

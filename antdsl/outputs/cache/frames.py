@@ -1,5 +1,5 @@
-"""A world at one frame to the arrays of a cache: one row an agent, species after species by name, by id within each; scene
-units."""
+"""Conversion of a world at one frame to a cache's arrays in scene units. Rows are agents: species in order of their names, agents
+by id within each."""
 
 from __future__ import annotations
 
@@ -47,8 +47,8 @@ _PLAIN = {"P", "v", "orient", "id", "pscale", "Cd", "state", "species", "age", "
 
 
 class FrameMaker:
-    """Turns a world into the arrays of a frame. `attributes` are names of the scene's `output`; others than the usual are
-    registers. `events`: the kinds of events that frames have."""
+    """Converter of a world to the arrays of a frame. `attributes` are names in the scene's `output`; all but the usual ones are
+    registers. `events`: the kinds of events in frames."""
 
     def __init__(
         self,
@@ -74,7 +74,7 @@ class FrameMaker:
         self.agents = AgentArrays(world, self.scale, self.factors, self.pairs)
 
     def frame(self, world: World) -> Arrays:
-        """All arrays of the frame that the world stands at."""
+        """Return all arrays of the world's current frame."""
         arrays: Arrays = {"frame": np.array(world.frame, np.int64)}
         rows = {name: world.populations[name].in_id_order() for name in sorted(world.populations)}
         arrays |= self.agents.arrays(world, self.attributes)
@@ -95,7 +95,7 @@ class FrameMaker:
         return arrays if self.pieces is None else arrays | self.pieces.frame(world)
 
     def _pairs(self, population: Population, rows: NDArray[np.intp]) -> Arrays:
-        """Values per pair: whose, about whom and what, by both ids."""
+        """Return the values per pair: both ids and the value."""
         arrays: Arrays = {}
         for name, slots in self.pairs[population.name].items():
             who, value = (np.stack([population.now[each[part]][rows] for each in slots], axis=1) for part in (0, 1))
@@ -109,7 +109,7 @@ class FrameMaker:
         return arrays
 
     def _moved(self, world: World, rows: Mapping[str, NDArray[np.intp]]) -> Arrays:
-        """Where what moves is in this frame, and how fast the ground went that agents stand on."""
+        """Return the positions of moving meshes and items in this frame, and the velocity of the ground under agents."""
         moves = world.setting.moves
         arrays: Arrays = {}
         for name in moves.meshes:
@@ -124,19 +124,19 @@ class FrameMaker:
 
 
 def _not_zero(values: NDArray[np.float64]) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
-    """The cells of a field that have something in them, and how much."""
+    """Return the cells of a field that are not zero, and their amounts."""
     cells, strength = np.empty(len(values) + 1, np.int32), np.empty(len(values) + 1, np.float32)
     count = frame_loops.not_zero(values, cells, strength)
     return cells[:count], strength[:count]
 
 
 def _plain_numbers(program: Program) -> set[str]:
-    """Names of numbers that some species has one of for each agent."""
+    """Return names of numbers that at least one species has once per agent."""
     return {a.name for species in program.species.values() for a in species.attributes if a.each is None}
 
 
 def static_arrays(world: World, setting: Setting) -> Arrays:
-    """What stands still: meshes, the places of field cells, flows as arrows, in scene units, relative to the origin."""
+    """Return static data: meshes, positions of field cells, flows as arrows, in scene units, relative to the origin."""
     scale = 1.0 / setting.unit_mm
     arrays: Arrays = {}
     for name, mesh in {**setting.surfaces, **setting.obstacles}.items():
@@ -179,8 +179,8 @@ def describe(
     camera: CameraEntry | Literal["fit"] | None,
     looks: Mapping[str, Look | Mapping[str, Look]],
 ) -> Manifest:
-    """The manifest of a run that begins with this world. `looks`: of what the scene gives one, by name; of items that differ by
-    the name of each."""
+    """Return the manifest of a run that begins with this world. `looks`: the looks that the scene gives, by name; for items with
+    different looks, by the name of each."""
     scale = 1.0 / setting.unit_mm
     return Manifest(
         antdsl=version,

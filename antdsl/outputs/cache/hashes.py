@@ -1,9 +1,9 @@
-"""Hashes by which damage to a cache is found. The file `hashes.jsonl` has, for each frame, one of the whole state, one of the
-frame's file, and one of its checkpoint's file; the manifest has that of `static.npz`.
+"""Hashes that detect damage to a cache. For each frame, `hashes.jsonl` has hashes of the complete state, of the frame file and of
+the checkpoint file. The manifest has that of `static.npz`.
 
-A file's hash is made of its headers alone, which have the CRC-32 of each array: a file that is written has those anyway, so that
-it costs next to nothing. One content that is damaged passes for whole once in 2^32. Caches from before that was so have hashes of
-all bytes, without the name of the way before them; they are held against these as ever. Neither is meant to find forgeries."""
+A file's hash covers its headers only, which contain the CRC-32 of each array. Written files need those CRCs anyway, so the hash
+costs almost nothing. A damaged content is missed once in 2^32. Older caches have hashes of all bytes, without the name of the
+method in front; they are checked by these. Neither kind detects forgeries."""
 
 from __future__ import annotations
 
@@ -25,9 +25,9 @@ _BYTES = 400 * limits.FRAMES
 
 @dataclass(frozen=True, slots=True)
 class Line:
-    """`hash`: of the state; `feet`: of the state of all feet, empty where none are worked out; `file`: of the frame's number,
-    those hashes and its file, so that neither a damaged file nor a damaged line passes; `checkpoint`: the same of its
-    checkpoint. Empty in a cache from before that was written, or where there is no checkpoint."""
+    """The hashes of a frame. `hash`: of the state. `feet`: of the state of all feet, empty if none are computed. `file`: of the
+    frame's number, those hashes and its file, so that neither a damaged file nor a damaged line passes. `checkpoint`: the same
+    for its checkpoint. Empty in caches older than the entry, or without a checkpoint."""
 
     hash: str
     file: str
@@ -42,23 +42,22 @@ class Line:
 
 
 def line_of(frame: int, state: str, file: Stored, feet: str = "") -> Line:
-    """The line for a frame with the state of a hash, which is written as this file, and with a hash of its feet."""
+    """Return the line for a frame with a state hash, the hash of its written file, and a hash of its feet."""
     return Line(state, _told(_of_frame(frame, state) + _of_feet(feet), file.headers), feet=feet)
 
 
 def with_checkpoint(frame: int, line: Line, file: Stored) -> Line:
-    """The line for a frame whose checkpoint is written as this file. It follows the one that the frame has already, and counts
-    in its stead."""
+    """Return a frame's line with the hash of its checkpoint file added. It follows the frame's earlier line and replaces it."""
     return replace(line, checkpoint=_told(_of_checkpoint(frame, line.hash) + _of_feet(line.feet), file.headers))
 
 
 def hash_of_static(file: Stored) -> str:
-    """The hash of `static.npz`, which is written as this file."""
+    """Return the hash of the written `static.npz`."""
     return _told(_STATIC, file.headers)
 
 
 def read_lines(path: Path) -> dict[int, Line]:
-    """The lines by frame, as far as they are whole. Empty where there are none to be read."""
+    """Return the lines by frame, as far as they are complete. The result is empty where none can be read."""
     found: dict[int, Line] = {}
     try:
         text = read_bounded(path, _BYTES, follow=False).decode("utf-8", "replace")
@@ -78,14 +77,14 @@ def read_lines(path: Path) -> dict[int, Line]:
 
 
 def damage(path: Path, frame: int, line: Line | None) -> str | None:
-    """What is wrong with the file of a frame, in words that stand alone; None where it has the bytes that were written."""
+    """Return what is wrong with the file of a frame, complete without context; None where it has the bytes that were written."""
     if line is None:
         return _differs(path, b"", "")
     return _differs(path, _of_frame(frame, line.hash) + _feet_within(line.file, line.feet), line.file)
 
 
 def checkpoint_damage(path: Path, frame: int, line: Line | None) -> str | None:
-    """The same for a checkpoint; one from before hashes of them were kept has nothing wrong that could be known here."""
+    """Return what is wrong with a checkpoint, or None. Damage is not detected in caches without hashes of checkpoints."""
     if line is None:
         return _differs(path, b"", "")
     if not line.checkpoint and not line.file.startswith(_BY_HEADERS):
@@ -94,13 +93,13 @@ def checkpoint_damage(path: Path, frame: int, line: Line | None) -> str | None:
 
 
 def static_damage(path: Path, wanted: str) -> str | None:
-    """The same for `static.npz`, of which the manifest has the hash."""
+    """Return what is wrong with `static.npz`, compared with the hash in the manifest; None where nothing is."""
     return _differs(path, _STATIC, wanted)
 
 
 def _differs(path: Path, begin: bytes, wanted: str) -> str | None:
-    """`wanted`: what `_told` said of `begin` and the headers of the file, or the hash of `begin` and all its bytes; empty where
-    there is none."""
+    """Return how a file differs from its hash, or None. `wanted`: the result of `_told` for `begin` and the file's headers, or
+    the hash of `begin` and all its bytes; empty if there is none."""
     try:
         handle = open_regular(path, follow=False)
     except FileNotFoundError:
@@ -138,12 +137,12 @@ def _of_feet(feet: str) -> bytes:
 
 
 def _feet_within(wanted: str, feet: str) -> bytes:
-    """What a hash has of that of the feet: nothing where it is one of all bytes of a file."""
+    """Return the part of a hash that covers the feet; nothing for a hash of all bytes of a file."""
     return _of_feet(feet) if wanted.startswith(_BY_HEADERS) else b""
 
 
 def _told(begin: bytes, headers: Iterable[bytes]) -> str:
-    """The hash of `begin` and the headers of a file, behind the name of the way in which it was made."""
+    """Return the hash of `begin` and the headers of a file, with the name of the method in front."""
     return _BY_HEADERS + _hashed(begin, headers)
 
 

@@ -20,16 +20,17 @@ _HELD = (errno.EWOULDBLOCK, errno.EACCES, errno.EDEADLK)  # what systems say of 
 
 
 class Locked(Exception):
-    """Another run, whose process id is in the message, writes to the folder."""
+    """Another run writes to the folder; the message has its process id."""
 
 
 class FolderLock:
-    """Held from `__enter__` to `__exit__`, and by processes forked in between until they end. The file has the process id and the
-    host in it, for people; the system's own lock on it decides, so no lock outlives its processes. Raises Locked, and OSError
-    where the file system has no locks.
+    """The lock of a cache's folder, from `__enter__` to `__exit__`, and in processes forked in between until they end. Raises
+    Locked, and OSError where the file system has no locks.
 
-    Where the run that holds it is gone and its writer is not yet, that is waited for. A file that has further names is replaced
-    and not written into: a copy of the cache made of hard links, or a file outside that an archive links to, stays as it is."""
+    The file has the process id and the host in it, for people. The lock on it is the system's own, so no lock outlives its
+    processes. If the run that holds it has ended but its writer has not, the lock waits for the writer. A file with further hard
+    links is replaced, not written into. So a hard-link copy of the cache, or a file outside that an archive links to, does not
+    change."""
 
     def __init__(self, folder: Path) -> None:
         self.path = folder / LOCK
@@ -41,7 +42,7 @@ class FolderLock:
         return self
 
     def _open(self) -> int | None:
-        """The open file, locked; None where it was not the only name of that file, which it is at the next call."""
+        """Return the open, locked file; None where the path was not its only name. The next call then succeeds."""
         handle = os.open(self.path, _OPEN, 0o644)
         try:
             self._wait(handle)
@@ -60,7 +61,7 @@ class FolderLock:
         return handle
 
     def _is_own(self, handle: int) -> bool:
-        """Whether the path names the open file, and nothing else does. A path that is one of several names is freed."""
+        """Return whether the path is the only name of the open file. A path that is one of several names is unlinked."""
         opened = os.fstat(handle)
         try:
             named = os.stat(self.path, follow_symlinks=False)
@@ -98,12 +99,12 @@ class FolderLock:
 
 
 def _host() -> str:
-    """The name of this machine or container: a process number means something there alone."""
+    """Return the name of this machine or container: a process number is meaningful on that host only."""
     return "".join(each for each in platform.node() if each.isascii() and each.isprintable() and each != " ")[:64]
 
 
 def _holder(handle: int) -> tuple[str, str]:
-    """The process number and the host that the file names; nothing where the system keeps that from others too (Windows)."""
+    """Return the process number and the host in the file; empty where the system denies reading it (Windows)."""
     try:
         os.lseek(handle, 0, os.SEEK_SET)
         words = os.read(handle, 128).decode("ascii", "replace").split()
@@ -113,7 +114,7 @@ def _holder(handle: int) -> tuple[str, str]:
 
 
 def _gone(holder: str, host: str) -> bool:
-    """Whether a process of this host is known to have ended, or has and nobody has asked for its exit code yet."""
+    """Return whether a process of this host is known to have ended, also while its exit code is still unread."""
     if os.name == "nt" or host not in ("", _host()) or not (holder.isascii() and holder.isdigit()):
         return False  # Windows frees a lock with the one process that holds it
     try:
@@ -142,8 +143,8 @@ def _take(handle: int) -> None:
 
 
 def _leave(handle: int) -> None:
-    """Unlock at once for all who have the file open from the same opening: a process of another run may have been forked
-    meanwhile, and would hold the lock on."""
+    """Unlock for all processes that share this open file. A forked process of another run may share it, and would still hold the
+    lock."""
     if os.name != "nt":
         import fcntl
 

@@ -1,5 +1,4 @@
-"""What a cache says about itself: what it was made from, how its numbers are to be read. JSON, typed and held to bounds when
-read."""
+"""The manifest of a cache: its inputs and the meaning of its numbers. JSON, with types and bounds checked when it is read."""
 
 from __future__ import annotations
 
@@ -43,7 +42,7 @@ class MachineEntry(Part):
 
 
 class FeelersEntry(Part):
-    """Rays ahead, out to `spread` radians on either side, `reach` scene units and `per_length` body lengths long."""
+    """Rays ahead, up to `spread` radians to each side. Their length is `reach` scene units plus `per_length` body lengths."""
 
     count: Annotated[int, Field(ge=1, le=64)]
     spread: float
@@ -52,16 +51,16 @@ class FeelersEntry(Part):
 
 
 class BodyEntry(Part):
-    """An agent definition that `static.npz` has as the arrays `body.N.text`, `.f4`, `.f8`, `.i4` and `.i8`, N being its place in
-    the list: the file it was read from, and a hash of its content."""
+    """An agent definition: the file it was read from, and a hash of its content. `static.npz` has it as the arrays `body.N.text`,
+    `.f4`, `.f8`, `.i4` and `.i8`, with its index in the list as N."""
 
     name: Word
     digest: Word
 
 
 class ClipEntry(Part):
-    """A clip that states play, on the joints of a transform group (empty: all). `add`: it is added to all others; `left`,
-    `right`, `up`, `down`: what it gives way to as an agent turns, climbs or goes down."""
+    """A clip that states play, on the joints of a transform group (empty: all). `add`: it is added to all others. `left`,
+    `right`, `up`, `down`: the clips that replace it as an agent turns, climbs or descends."""
 
     name: Word
     on: Word = ""
@@ -73,9 +72,11 @@ class ClipEntry(Part):
 
 
 class SpeciesEntry(Part):
-    """`body`: what pictures draw for it; None goes by its name. `definition`: its place among the manifest's bodies. `clips`:
-    what its states play, which frames count; `playing`: the machines that do. `wears`: the layers of its body that agents may
-    show beside its own, of which frames have masks, bit by bit; `channels` and `looks`: of the body, that states set or turn."""
+    """A species. `body`: the body in pictures; None chooses by the species' name. `definition`: its index among the manifest's
+    bodies. `clips`: the clips of its states, in the order of the indices in frames. `playing`: the machines that play them.
+
+    `wears`: body layers that agents may show in addition to their own; frames have masks with one bit per layer. `channels` and
+    `looks`: the body's channels and groups that states set or turn."""
 
     name: Word
     body: Word | None = None
@@ -93,7 +94,7 @@ Count = Annotated[int, Field(ge=0)]
 
 
 class ImportEntry(Part):
-    """What was read of a mesh's file, as `antdsl.scene.geometry.import_notes.MeshImport` has it."""
+    """Notes on the import of a mesh's file, as in `antdsl.scene.geometry.import_notes.MeshImport`."""
 
     file: Word
     form: Word
@@ -112,9 +113,11 @@ class ImportEntry(Part):
 
 
 class MeshEntry(Part):
-    """`imported`: what was read of its file. `moves`: each frame has its vertices. `deviation`: of a surface of heights, how far
-    (scene units) its triangles lie from the bilinear surface through its samples, at most. `look`: what pictures draw it as;
-    None goes by its name."""
+    """A mesh. `imported`: notes on the import of its file. `moves`: each frame has its vertices. `look`: its look in pictures;
+    None chooses by its name.
+
+    `deviation`: for a height field, the maximum distance (scene units) of its triangles from the bilinear surface through its
+    samples."""
 
     name: Word
     kind: Literal["surface", "obstacle", "solid"]
@@ -132,9 +135,10 @@ class FieldEntry(Part):
 
 
 class ItemsEntry(Part):
-    """Items of one name: their own names, and the attributes that each frame has an array for. Positions and radii in scene
-    units, at the first simulated frame; `moves`: each frame has its own. `looks`: what pictures draw each as, empty where no
-    scene says."""
+    """Items of one name: their own names, and the attributes for which each frame has an array.
+
+    Positions and radii are in scene units, at the first simulated frame; `moves`: each frame has its own. `looks`: the look of
+    each in pictures, empty where no scene gives one."""
 
     name: Word
     names: tuple[Word, ...]
@@ -156,8 +160,8 @@ class CameraEntry(Part):
 
 
 class Provenance(Part):
-    """What a cache was made with: `sources` is a hash of antdsl's own files, `command` one that makes the same frames; versions
-    are empty where a package is missing. Nothing that is read depends on it."""
+    """The environment in which a cache was made. `sources` is a hash of antdsl's own files, `command` makes the same frames.
+    Versions are empty for missing packages. Readers do not depend on any of it."""
 
     sources: Word
     python: Word
@@ -169,10 +173,11 @@ class Provenance(Part):
 
 
 class Manifest(Part):
-    """`inputs` has a hash for all that the frames depend on; `fps` is a fraction, `24/1`; `first` and `last` are the frames
-    asked for; `events` the names that frames count. `static` is the hash of `static.npz`, None where none was kept; `state_hash`
-    the way in which states are hashed, a `STATE_HASH`. `scene_path` leads from the cache's folder to the scene's file, where
-    `way_to` knows one. All places are relative to `origin` (scene units); caches without it have places from the zero point."""
+    """The description of a cache. `inputs` has a hash for every input of the frames. `fps` is a fraction, `24/1`. `first` and
+    `last` are the requested frames; `events` are the names that frames count. `static` is the hash of `static.npz`, None if none
+    was stored. `state_hash` is the method of state hashes, a `STATE_HASH`. `scene_path` leads from the cache's folder to the
+    scene's file, if `way_to` knows a path. All positions are relative to `origin` (scene units); in caches without it, to the
+    zero point."""
 
     format: Literal[1] = 1
     antdsl: Word
@@ -203,12 +208,13 @@ class Manifest(Part):
 
 
 class ManifestError(Exception):
-    """Why a folder is no cache, in words that stand alone."""
+    """Reason why a folder is not a cache; the message is complete without context."""
 
 
 def way_to(file: Path, folder: Path) -> str | None:
-    """The path from a folder to a file, with `/` and `..`; None where it would lead through the root of the file system and so
-    name the machine's own folders, or is longer than a manifest takes."""
+    """Return the path from a folder to a file, with `/` and `..`; None where it is too long for a manifest.
+
+    Also None where it would pass the root of the file system and so name the machine's own folders."""
     start = folder.resolve()
     for end in (Path(os.path.abspath(file)), file.resolve()):  # the way through links first: it stays below what both share
         if end.anchor == start.anchor and os.path.commonpath((start, end)) != start.anchor:

@@ -1,7 +1,6 @@
-"""NPZ files of plain arrays, written whole and read with suspicion: no pickle, no compression, sizes held against the file.
+"""NPZ files of plain arrays, written atomically and checked when read: no pickle, no compression, sizes compared with the file.
 
-The layout is NumPy's own (NEP 1 inside an uncompressed zip), so that `numpy.load` of any other program reads what is written
-here."""
+The layout is NumPy's (NEP 1 inside an uncompressed zip), so `numpy.load` in any program can read these files."""
 
 from __future__ import annotations
 
@@ -34,7 +33,8 @@ def to_bytes(arrays: Mapping[str, NDArray[Any]]) -> bytes:
 
 
 def npz_file(arrays: Mapping[str, NDArray[Any]]) -> Stored:
-    """The same in parts. Those of arrays are the arrays' own memory, nothing of which may change until they have been used."""
+    """Return the NPZ file in parts. The parts of arrays share the arrays' memory, which must not change until they have been
+    used."""
     return stored(_member(name, array) for name, array in arrays.items())
 
 
@@ -47,8 +47,8 @@ def _member(name: str, array: NDArray[Any]) -> tuple[Form, memoryview]:
 
 @lru_cache(1024)  # a frame's arrays are mostly of the shapes that they had before
 def _form(name: str, dtype: np.dtype[Any], shape: tuple[int, ...]) -> tuple[Form, str]:
-    """The form of members of a name, a type and a shape, and what type they have in a file, empty where arrays have these bytes
-    here, by which memory is known as numbers of the system."""
+    """Return the form of a member with a name, type and shape, and its type in the file. The type is empty where arrays have the
+    same bytes in memory."""
     kind = _kind(name, dtype)
     as_it_is = dtype.isnative and dtype.str == kind
     return form_of(f"{name}.npy", _header(kind, shape), dtype.itemsize * prod(shape)), "" if as_it_is else kind
@@ -57,7 +57,7 @@ def _form(name: str, dtype: np.dtype[Any], shape: tuple[int, ...]) -> tuple[Form
 def to_member(
     file: zipfile.ZipFile, name: str, dtype: np.dtype[Any], shape: tuple[int, ...], parts: Iterable[NDArray[Any]]
 ) -> None:
-    """Add an array of a type and shape to an open NPZ file, from parts that are it end to end, one in memory at a time."""
+    """Add an array of a type and shape to an open NPZ file. Its consecutive parts are in memory one at a time."""
     entry = zipfile.ZipInfo(f"{name}.npy", _STAMP)
     kind = _kind(name, dtype)
     with file.open(entry, "w", force_zip64=True) as member:
@@ -81,8 +81,9 @@ def _header(kind: str, shape: tuple[int, ...]) -> bytes:
 
 
 def read_npz(path: Path, only: Container[str] | None = None) -> dict[str, NDArray[Any]]:
-    """All arrays of a file that `to_bytes` wrote, or `only` those of some names, checksums compared; ArrayFileError says what is
-    wrong with any other, OSError why it cannot be opened: a link is not followed."""
+    """Return all arrays of a file that `to_bytes` wrote, or `only` those with some names, with checksums compared.
+
+    Raises ArrayFileError for any other file, and OSError for one that cannot be opened. Links are not followed."""
     try:
         with open_bounded(path, FILE_BYTES, follow=False) as file:
             return read_archive(file, os.fstat(file.fileno()).st_size, only)

@@ -17,7 +17,7 @@ def scene_origin(world: World) -> tuple[float, float, float]:
 
 
 def scene_places(places: NDArray[np.floating], scale: float) -> NDArray[np.float32]:
-    """Places in mm, relative to the origin of the world, in scene units as float32. `scale`: scene units in a millimetre."""
+    """Convert positions in mm, relative to the world's origin, to scene units as float32. `scale`: scene units per millimetre."""
     unsigned = places + 0.0  # a zero with a sign would change the bytes of a file
     found: NDArray[np.float32] = (unsigned * scale).astype(np.float32)
     return found

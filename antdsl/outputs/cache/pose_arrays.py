@@ -68,7 +68,7 @@ def clips_playing(population: Population, rows: NDArray[np.intp] | None = None, 
 def _told(
     population: Population, rows: NDArray[np.intp] | None, now: Arrays, fields: Sequence[str], threads: int
 ) -> dict[str, NDArray[Any]]:
-    """The first of the fields, the usual ones or more."""
+    """Return the given fields of clips, the usual ones or more."""
     found: dict[str, NDArray[Any]] = {}
     if rows is None:
         found = {field: np.empty(len(population), _REGISTERS[field][1]) for field in _USUAL}
@@ -82,7 +82,7 @@ def _told(
 
 
 def machine_clips(species: str, machine: str, arrays: Arrays, count: int) -> MachineClips | None:
-    """What a machine of `count` agents plays; None where the arrays do not say."""
+    """Return the clips that a machine of `count` agents plays; None where the arrays do not have them."""
     parts: list[NDArray[Any] | None] = []
     for field in FIELDS:
         found = arrays.get(f"clips.{species}.{machine}.{field}")
@@ -96,13 +96,14 @@ def machine_clips(species: str, machine: str, arrays: Arrays, count: int) -> Mac
 
 
 def machines_of(species: SpeciesEntry, arrays: Arrays, count: int) -> tuple[MachineClips, ...] | None:
-    """What the machines of a species play in a frame with `count` agents of it; None where the frame does not say."""
+    """Return the clips that the machines of a species play in a frame with `count` of its agents; None where the frame does not
+    have them."""
     found = [machine_clips(species.name, machine, arrays, count) for machine in species.playing]
     return None if any(each is None for each in found) else tuple(each for each in found if each is not None)
 
 
 def placed_feet(world: World, species: str, scale: float) -> dict[str, NDArray[Any]]:
-    """The arrays of a species whose feet are worked out; none for others. `scale`: scene units in a millimetre."""
+    """Return the arrays of a species with computed feet; none for others. `scale`: scene units in a millimetre."""
     feet = world.feet.get(species)
     if feet is None:
         return {}
@@ -117,7 +118,8 @@ def placed_feet(world: World, species: str, scale: float) -> dict[str, NDArray[A
 
 
 def feet_of(species: str, arrays: Arrays, count: int, legs: int) -> PlacedFeet | None:
-    """The feet of a species in a frame with `count` agents of it that have so many legs; None where the frame does not say."""
+    """Return the feet of a species in a frame with `count` agents and `legs` legs each; None where the frame does not have
+    them."""
     shapes = {"P": (count, legs, 3), "down": (count, legs), "phase": (count,), "rise": (count,), "tilt": (count, 4)}
     found = {name: arrays.get(f"feet.{species}.{name}") for name in shapes}
     if not legs or any(array is None or array.shape != shapes[name] for name, array in found.items()):
@@ -159,7 +161,7 @@ def shown(population: Population, setting: Setting, some: NDArray[np.intp] | Non
 def _put_on(
     population: Population, on: NDArray[np.bool_], some: NDArray[np.intp] | None, bit: np.uint64, mask: NDArray[np.uint64]
 ) -> None:
-    """Put a bit into the masks of the agents who have it on: of those at some rows, of all by id where none are given."""
+    """Set a bit in the masks of the agents that wear a layer: of those at some rows, or of all by id by default."""
     if some is None:
         frame_loops.worn(on, population.ranks(), bit.view(np.int64), mask.view(np.int64))
     else:
@@ -167,7 +169,7 @@ def _put_on(
 
 
 def worn_masks(species: SpeciesEntry, arrays: Arrays, count: int) -> NDArray[np.uint64]:
-    """The mask of each of `count` agents of a species in a frame; nobody wears anything where the frame does not say."""
+    """Return the mask of each of `count` agents of a species in a frame; 0 for all if the frame has none."""
     found = arrays.get(f"wears.{species.name}")
     if not species.wears or found is None or found.shape != (count,):
         return np.zeros(count, np.uint64)
@@ -180,8 +182,8 @@ def layers_of(species: SpeciesEntry, mask: int) -> tuple[str, ...]:
 
 
 def driven(species: SpeciesEntry, arrays: Arrays, ids: NDArray[np.int64], seed: int) -> Driven:
-    """What states say of channels and looks in a frame, for the agents of a species by id, and what their bodies differ by; what
-    the frame has not is left out."""
+    """Return the channels and looks that states set in a frame, for the agents of a species by id, and the differences between
+    their bodies. Data that the frame lacks is left out."""
     count = len(ids)
     channels = {name: arrays.get(f"channels.{species.name}.{name}") for name in species.channels}
     looks = {name: arrays.get(f"looks.{species.name}.{name}") for name in species.looks}
@@ -201,8 +203,8 @@ def _crowds(population: Population, setting: Setting) -> Iterator[CrowdData]:
 def _by_scene(
     population: Population, rows: NDArray[np.intp], setting: Setting, layers: tuple[str, ...]
 ) -> Iterator[NDArray[np.uint64]]:
-    """What the scene dresses agents in: of each part one layer, drawn by the agent's id and the scene's seed for its whole life;
-    those who are born wear what the line of their parent says."""
+    """Yield the layers that the scene gives agents: one per part, drawn by the agent's id and the scene's seed for its lifetime.
+    Agents born later use the crowd entry of their parent."""
     crowds = [crowd for crowd in _crowds(population, setting) if crowd.wears]
     if not crowds:
         return

@@ -1,11 +1,10 @@
-"""Solids in a cache: what they were at the start, in each frame the balls that were dug, and now and then the surface.
+"""Solids in a cache: their start state, the balls dug in each frame, and from time to time the surface.
 
-static.npz  mesh.NAME.vertices, .faces, .bricks: the surface, and the brick that each face is in
-            solid.NAME.values, .table, .shape, .origin, .voxel, .band, .offset: the distances, for those who dig it again
-a frame     solid.NAME.balls float64 (k, 4): middle and radius of what was dug since the frame before, in mm
-            mesh.NAME.changed int32, and .vertices, .faces, .bricks as above: every so many frames (the manifest's
-            `checkpoint`) all bricks that were ever dug, as they are
-"""
+static.npz  mesh.NAME.vertices, .faces, .bricks: the surface, and the brick of each face
+            solid.NAME.values, .table, .shape, .origin, .voxel, .band, .offset: the distances, to repeat the digging
+a frame     solid.NAME.balls float64 (k, 4): centre and radius of each ball dug since the frame before, in mm
+            mesh.NAME.changed int32, and .vertices, .faces, .bricks as above: at every checkpoint interval (the
+            manifest's `checkpoint`), the current state of all bricks ever dug"""
 
 from __future__ import annotations
 
@@ -24,7 +23,7 @@ Piece = tuple[NDArray[np.float64], NDArray[np.int32]]
 
 
 class PieceMaker:
-    """Makes what frames hold of solids. Asks each volume for what changed since it asked last."""
+    """Makes the arrays of solids in frames. Queries each volume for the changes since the last query."""
 
     def __init__(self, first: int, every: int, scale: float) -> None:
         self.first, self.every, self.scale = first, every, scale
@@ -48,7 +47,7 @@ class PieceMaker:
 
 
 def start_pieces(world: World, scale: float) -> Arrays:
-    """What stands in static.npz of all solids, which nobody has dug yet. `offset` (mm) is 0: the manifest has the origin."""
+    """Return the arrays of all undug solids for static.npz. `offset` (mm) is 0: the manifest has the origin."""
     arrays: Arrays = {}
     for name, volume in world.solids.items():
         bricks = volume.bricks

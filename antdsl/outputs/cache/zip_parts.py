@@ -1,10 +1,10 @@
-"""A zip file without compression as parts in memory that are it end to end: what lies in its members is not copied.
+"""An uncompressed zip file as consecutive parts in memory, without copies of its members' contents.
 
-By the application note of the format (PKWARE, .ZIP File Format Specification 6.3.10), as Python's `zipfile` writes it to the
-byte, in a tenth of its time: what is known of a member before it is written stands in one header.
+It follows the application note of the format (PKWARE, .ZIP File Format Specification 6.3.10). It has the same bytes as Python's
+`zipfile` writes, in a tenth of the time. Facts known before a member is written go into one header.
 
-All of a file but the contents of its members is called its headers here, the directory included. They have the CRC-32 of each
-content: who knows their bytes can tell damage anywhere in the file."""
+Here, the headers of a file are everything except the contents of its members, directory included. They contain the CRC-32 of each
+content, so their bytes suffice to detect damage anywhere in the file."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ from struct import Struct
 from antdsl.numerics.check_sums import crc32
 from antdsl.whole import Parts
 
-LIMIT = (1 << 31) - 1  # what is longer, or begins later, is told in eight bytes
-MOST = (1 << 16) - 1  # members; how many more there are is told so too
+LIMIT = (1 << 31) - 1  # larger sizes and offsets are written in eight bytes
+MOST = (1 << 16) - 1  # members; larger counts are written so too
 _ELSEWHERE = 0xFFFFFFFF  # in four bytes: it stands in eight of the extra field
 _PLAIN, _LONG = 20, 45  # the version of the format that a reader has to know
 _UTF8 = 0x800
@@ -35,20 +35,21 @@ _LOCATOR = Struct("<4sLQL")
 
 
 class NotStored(Exception):
-    """A file is no zip file of stored members, or the content of one is not what its header says."""
+    """Error for a file that is not a zip file of stored members, or has a content that does not match its header."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Stored:
-    """A file that has not been written: `parts` are it end to end, `headers` all of it but the contents of its members."""
+    """A file that has not been written: `parts` are its consecutive bytes, `headers` everything except the contents of its
+    members."""
 
     parts: Parts
     headers: Sequence[bytes]
 
 
 def stored(members: Iterable[tuple[Form, memoryview]]) -> Stored:
-    """A file with these members, in order: of each its form, and its content behind the head. The content is a part as it is, so
-    nothing of it may change until the parts have been used."""
+    """Return a file with these members, in order: for each its form, and its content after the head. The content is not copied,
+    so it must not change until the parts have been used."""
     parts: list[bytes | memoryview] = []
     headers: list[bytes] = []
     entries: list[bytes] = []
@@ -68,8 +69,9 @@ def stored(members: Iterable[tuple[Form, memoryview]]) -> Stored:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Form:
-    """What is the same of all members of a name, a head and a size: the CRC-32 of the head, and what stands before and after that
-    of the whole in their header, and in their entry of the directory, the latter before and after the place of the member."""
+    """Data shared by all members with the same name, head and size: the CRC-32 of the head, and the fixed bytes of their header
+    and directory entry. These are the bytes before and after the CRC-32 of the member, and in the entry also around its
+    offset."""
 
     head: bytes
     size: int
@@ -96,8 +98,8 @@ def _around(record: bytes, at: int) -> tuple[bytes, bytes]:
 
 
 def read_headers(blocks: Iterator[bytes]) -> Iterator[bytes]:
-    """The headers of a file that comes in blocks, piece by piece, while the contents in between are held against their CRC-32.
-    NotStored where one differs, or where this is no file that `stored` could have made."""
+    """Yield the headers of a file that arrives in blocks, piece by piece, and check the contents in between by their CRC-32.
+    Raises NotStored where one differs, or for a file that `stored` cannot have made."""
     file = _Pieces(blocks)
     while (mark := file.upto(len(_MEMBER))) == _MEMBER:
         local = mark + file.exactly(_LOCAL.size - len(_MEMBER))
@@ -115,14 +117,14 @@ def read_headers(blocks: Iterator[bytes]) -> Iterator[bytes]:
 
 
 class _Pieces:
-    """Bytes that come in blocks, taken in pieces of other lengths."""
+    """Bytes that arrive in blocks, read in pieces of other lengths."""
 
     def __init__(self, blocks: Iterator[bytes]) -> None:
         self._blocks = blocks
         self._left = memoryview(b"")
 
     def _next(self, most: int) -> memoryview:
-        """At least one of the bytes that come next and at most so many; none at the end."""
+        """Return at least one and at most `most` of the next bytes; none at the end."""
         if not self._left:
             self._left = memoryview(next(self._blocks, b""))
         found, self._left = self._left[:most], self._left[most:]
@@ -136,14 +138,14 @@ class _Pieces:
         return found
 
     def exactly(self, count: int) -> bytes:
-        """So many bytes; NotStored where there are fewer."""
+        """Return `count` bytes. Raises NotStored where there are fewer."""
         found = self.upto(count)
         if len(found) < count:
             raise NotStored
         return found
 
     def check(self, count: int) -> int:
-        """The CRC-32 of so many bytes; NotStored where there are fewer."""
+        """Return the CRC-32 of `count` bytes. Raises NotStored where there are fewer."""
         found = 0
         while count:
             piece = self._next(count)
@@ -159,7 +161,7 @@ class _Pieces:
 
 
 def _entry(form: Form, check: bytes, at: int) -> bytes:
-    """What the directory says of a member that begins at a place."""
+    """Return the directory entry of a member that begins at an offset."""
     if at <= LIMIT:
         before, after, rest = form.entry
         return before + check + after + at.to_bytes(4, "little") + rest
@@ -181,7 +183,7 @@ def _central(words: bytes, flags: int, size: int, at: int) -> bytes:
 
 
 def _end(count: int, size: int, at: int) -> bytes:
-    """What stands after the directory, which has so many entries and bytes and begins at a place."""
+    """Return the end record after the directory, which has `count` entries and `size` bytes and begins at an offset."""
     found = b""
     if count > MOST or at > LIMIT or size > LIMIT:
         found = _LONG_END.pack(b"PK\6\6", 44, _LONG, _LONG, 0, 0, count, count, size, at)

@@ -1,4 +1,4 @@
-"""Pictures of a frame: what is on them (`Picture`), from where (`Camera`), drawn by rays (`Renderer`), on sheets and films."""
+"""Pictures of a frame: their content (`Picture`), the view (`Camera`), the ray renderer (`Renderer`), sheets and films."""
 
 from antdsl.outputs.pictures.cameras import camera_at_eye_level, camera_over
 from antdsl.outputs.pictures.image_files import film, film_ready, still

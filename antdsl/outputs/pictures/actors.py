@@ -1,4 +1,4 @@
-"""All that moves, as one ray scene: every agent's posed body and every item at its size, in this frame."""
+"""Everything that moves, as one ray scene: each agent's posed body and each item at its size, in this frame."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -27,13 +27,13 @@ METAL, LIGHT = 1.5, -1.0  # in place of gloss
 MOST_TRIANGLES = 1_000_000  # of close-up bodies of a species' own
 _SHADOW_CELLS = 2048  # along each side of the map of shadows
 _FEW = 4.0  # pixels below which a body may lie between their middles
-_STEEP = 0.8  # of a heap's slope: what is steeper beside it is a stone or a wall
+_STEEP = 0.8  # of a pile's slope: what is steeper beside it is a stone or a wall
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Mesh:
-    """One kind of thing many times: vertices and normals (n, 3), faces, linear colour (n, 3), gloss (n,): 0 dull to 1, METAL
-    above, and LIGHT below for what has light of its own."""
+    """One kind of object many times: vertices and normals (n, 3), faces, linear colour (n, 3) and gloss (n,). Gloss: 0 dull to 1,
+    METAL above, and LIGHT below for what emits light."""
 
     vertices: Array
     faces: NDArray[np.int32]
@@ -44,8 +44,8 @@ class Mesh:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Part:
-    """b bodies of one shape: vertices float32 (b, v, 3) as they are turned at the picture's frame, their places (b, 3), and
-    the same at the frame after, or None for what stands still; faces of all, and normal, colour and gloss of their vertices."""
+    """A number b of bodies of one shape: rotated vertices float32 (b, v, 3) and positions (b, 3), at the picture's frame and at
+    the next (None for static bodies). Faces are shared; normal, colour and gloss are per vertex."""
 
     local: Floats
     place: Array
@@ -56,7 +56,7 @@ class Part:
     gloss: Floats
 
     def at(self, moment: float) -> Array:
-        """Vertices (b, v, 3), `moment` of a frame later: every one goes straight on."""
+        """Return vertices (b, v, 3), `moment` frames later: each moves in a straight line."""
         if self.then is None or moment == 0:
             return self.local + self.place[:, None]
         local = self.local + (self.then[0] - self.local) * np.float32(moment)
@@ -65,11 +65,12 @@ class Part:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Actors:
-    """Everything that moves. `rays`: at one moment or at several over which the shutter is open; `mesh` is at the middle one.
-    `near` bool (h · w,): pixels where any of it may be seen, `tiny`: where that is so small that
-    rays through pixels' middles may miss it. `tall`: the longest way its shadow needs to be looked for, and
-    `throw` that within which its edge is soft; `size`: how far around a body the ground lies in its shade. `boxes`: lowest and
-    highest corners (b, 3) of the bodies, wherever they are while the shutter is open."""
+    """Everything that moves. `rays`: at one moment, or at several while the shutter is open; `mesh` is at the middle one.
+    `boxes`: lowest and highest corners (b, 3) of the bodies while the shutter is open.
+
+    `near` bool (h · w,): pixels where any of it may be visible. `tiny`: pixels where it may be so small that rays through pixel
+    centres miss it. `tall`: the maximum distance over which its shadow is searched. `throw`: the distance within which the
+    shadow's edge is soft. `size`: how far around a body the ground is in its shade."""
 
     rays: tuple[PictureRays, ...]
     mesh: Mesh
@@ -81,8 +82,8 @@ class Actors:
     boxes: tuple[Array, Array]
 
     def shading(self, points: Floats, sun: Sun, reaches: Sequence[float]) -> list[NDArray[np.bool_]]:
-        """For each of some `reaches`, which points (n, 3) may lie in the shadow of a box that is so much wider on all sides:
-        both seen along the sun's way, on a map across it."""
+        """Return, for each of `reaches`, which points (n, 3) may be in the shadow of a box enlarged by that length on all sides.
+        Points and boxes are projected along the sun's direction onto a map perpendicular to it."""
         low, high = self.boxes
         if not len(low):
             return [np.zeros(len(points), np.bool_) for _ in reaches]
@@ -112,11 +113,11 @@ class Actors:
 def actors(
     picture: Picture, view: View, least: float = 0.0, ground: Setting | None = None, blur: float = 0.0, enlarged: float = 3.0
 ) -> Actors:
-    """The moving part of `picture`, agents that are large in `view` with their close-up bodies, those of a few pixels with
-    few triangles, those out of sight left out;
-    what is of loose soil follows `ground`. The shutter is open for `blur` of the way to the frame after.
+    """Return the moving part of `picture`. Large agents in `view` use close-up bodies, agents of a few pixels use few triangles,
+    and invisible ones are left out.
 
-    Bodies shorter than `least` pixels are drawn that long, though never more than `enlarged` times their size."""
+    Loose soil follows `ground`. The shutter is open for the fraction `blur` of a frame. Bodies shorter than `least` pixels are
+    enlarged to that length, by a factor of at most `enlarged`."""
     parts: list[Part] = []
     longest = 0.0
     for crowd in picture.crowds:
@@ -141,7 +142,8 @@ def actors(
 
 
 def _moments(parts: list[Part], view: View, blur: float) -> list[float]:
-    """When, in frames from the picture's own, the open shutter looks: about once for each pixel of the longest way."""
+    """Return the sample times of the open shutter, in frames after the picture's own: about one per pixel of the longest
+    motion."""
     if blur <= 0:
         return [0.0]
     longest = 0.0
@@ -171,7 +173,7 @@ def _joined(parts: list[Part], moment: float) -> Mesh:
 
 
 def _boxes(parts: list[Part], blur: float) -> tuple[Array, Array]:
-    """The boxes of all bodies along the world's axes, lowest and highest corners (b, 3), while the shutter is open."""
+    """Return the axis-aligned boxes of all bodies while the shutter is open: lowest and highest corners (b, 3)."""
     found: list[tuple[Array, Array]] = [(np.zeros((0, 3)), np.zeros((0, 3)))]
     for part in parts:
         low, high = part.local.min(axis=1) + part.place, part.local.max(axis=1) + part.place
@@ -184,7 +186,8 @@ def _boxes(parts: list[Part], blur: float) -> tuple[Array, Array]:
 
 
 def _near(boxes: tuple[Array, Array], view: View) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-    """Pixels (h · w,) where a box is seen, and those where one of a few pixels is, which their middles may miss."""
+    """Return the pixels (h · w,) where a box is visible, and those with a box of a few pixels, which rays through pixel centres
+    may miss."""
     high, wide = view.height, view.width
     corners = np.stack([[boxes[bit >> axis & 1][:, axis] for axis in range(3)] for bit in range(8)])  # (8, 3, b)
     places, ahead = view.project(np.moveaxis(corners, 2, 0).reshape(-1, 3))
@@ -236,8 +239,8 @@ def _crowd(crowd: Crowd, view: View, least: float, enlarged: float) -> list[Part
 
 
 def _posed(crowd: Crowd, body: PosedBody, rows: NDArray[np.int64], size: Array, plain: Array) -> Part:
-    """The bodies of some agents, each posed by what it plays. For all agents of the crowd, `size` (n,) says how long they are,
-    and `plain` (n,) how much what has a colour of its own takes the agent's too."""
+    """Return the bodies of some agents, each posed by what it plays. For all agents of the crowd, `size` (n,) is their length.
+    `plain` (n,) is how much coloured parts take the agent's colour too."""
     turn, long = _turn(crowd, rows), size[rows].astype(np.float32)[:, None, None]
     local, normal = crowd.posed(body, rows)
     then = None
@@ -253,7 +256,7 @@ def _posed(crowd: Crowd, body: PosedBody, rows: NDArray[np.int64], size: Array, 
 
 
 def _turn(crowd: Crowd, rows: NDArray[np.int64]) -> Floats:
-    """Matrices (n, 3, 3) that turn rows of vertices as agents are turned."""
+    """Return matrices (n, 3, 3) that rotate rows of vertices as agents are rotated."""
     return np.swapaxes(rotation(np.asarray(crowd.orient, np.float64)[rows]).astype(np.float32), 1, 2)
 
 
@@ -273,7 +276,7 @@ def _part(
 
 
 def _in_sight(points: Array, depth: Array, margin: Array, view: View) -> NDArray[np.bool_]:
-    """Whether a ball of `margin` around each point reaches into the picture's pyramid."""
+    """Return whether a ball of radius `margin` around each point intersects the view pyramid."""
     seen = points - view.eye
     inside = np.ones(len(points), np.bool_)
     if view.parallel:
@@ -296,7 +299,7 @@ def item_mesh(item: Item, up: tuple[float, float, float], ground: Setting | None
 
 
 def _made_of(item: Item, colour: Floats) -> tuple[Floats, float]:
-    """Linear colours (n, 3) and gloss of an item by what it is made of."""
+    """Return linear colours (n, 3) and gloss of an item, by its material."""
     if item.look is None:
         return colour, 0.0 if item.shape == "mound" else 0.5
     plain, gloss = {
@@ -309,8 +312,8 @@ def _made_of(item: Item, colour: Floats) -> tuple[Floats, float]:
 
 
 def _slump(points: Array, foot: Array, up: Array, size: float, ground: Setting) -> Array:
-    """How much higher than at `foot` the ground is below each point (n,): as far as loose soil lies, and 0 where it is farther
-    off than `size`."""
+    """Return the ground's height below each point (n,), relative to `foot`, where loose soil lies; 0 beyond the distance
+    `size`."""
     away = points - foot
     level = points - (away @ up)[:, None] * up
     start = level + size * up

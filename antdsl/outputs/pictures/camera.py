@@ -16,8 +16,8 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class View:
-    """A camera made ready: `eye` (3,), `right`, `above`, `ahead` unit axes. `half`: the tangents of half the width and height, or
-    of one with `parallel` rays half the width and height in world units."""
+    """A prepared camera: `eye` (3,) and the unit axes `right`, `above`, `ahead`. `half`: the tangents of half the width and
+    height; with `parallel` rays, half the width and height in world units."""
 
     eye: Array
     right: Array
@@ -29,8 +29,8 @@ class View:
     parallel: bool = False
 
     def rays(self, pixels: NDArray[np.int64], across: float = 0.5, down: float = 0.5) -> tuple[Array, Floats]:
-        """Where rays begin, (n, 3) or (3,), and their unit directions float32 (n, 3), through pixels (n,) counted row by row, at
-        the shares `across` and `down` of a pixel from its upper left corner."""
+        """Return ray origins, (n, 3) or (3,), and unit directions float32 (n, 3), through pixels (n,) counted row by row.
+        `across` and `down` are the position in a pixel, as shares from its upper left corner."""
         row, column = np.divmod(pixels, self.width)
         x = ((column + across) / self.width * 2 - 1) * self.half[0]
         y = (1 - (row + down) / self.height * 2) * self.half[1]
@@ -44,7 +44,8 @@ class View:
         return self.eye, towards
 
     def project(self, points: Array) -> tuple[Array, Array]:
-        """Pixel places (n, 2) and distances ahead (n,) of world points; not ahead of the camera where the distance is ≤ 0."""
+        """Return pixel positions (n, 2) and distances ahead (n,) of world points. A distance ≤ 0 means not in front of the
+        camera."""
         seen = np.asarray(points, np.float64) - self.eye
         depth = seen @ self.ahead
         safe = 1.0 if self.parallel else np.where(depth > 1e-9, depth, 1.0)
@@ -58,12 +59,12 @@ class View:
         return np.asarray(seen @ self.ahead if self.parallel else np.linalg.norm(seen, axis=1))
 
     def pixel_at(self, depth: Any) -> Any:
-        """How long a pixel's edge is in world units at distances ahead, one or an array."""
+        """Return the edge length of a pixel in world units at distances ahead, one or an array."""
         return (0.0 * depth + 1.0 if self.parallel else depth) * (2 * self.half[0] / self.width)
 
 
 def view(camera: Camera, width: int, height: int, up: tuple[float, float, float]) -> View:
-    """`camera` for a picture of `width` × `height` pixels. One that looks at its own place looks along x."""
+    """Return `camera` prepared for a picture of `width` × `height` pixels. A camera aimed at its own position looks along x."""
     eye = np.asarray(camera.at, np.float64)
     ahead = unit_or(np.asarray(camera.look_at, np.float64) - eye, np.array([1.0, 0.0, 0.0]))
     upward = unit_or(np.asarray(camera.up or up, np.float64), np.array([0.0, 1.0, 0.0]))
@@ -80,6 +81,6 @@ def view(camera: Camera, width: int, height: int, up: tuple[float, float, float]
 
 
 def three(values: Array) -> tuple[float, float, float]:
-    """A point as the plain numbers that a `Camera` holds."""
+    """Return a point as three Python floats, for a `Camera`."""
     x, y, z = (float(v) for v in values)
     return x, y, z

@@ -1,4 +1,4 @@
-"""Cameras for pictures that bring none: one over the whole scene, one at the eye level of an agent with company."""
+"""Default cameras: one over the complete scene, one at the eye level of an agent with others nearby."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -73,21 +73,22 @@ def _all_points(picture: Picture, up: Array) -> Array:
 
 
 def _shares(at: Array, aim: Array, points: Array, up: Array, focal: float, aspect: float) -> tuple[Array, Array]:
-    """Where the points lie across and along the picture, within 0..1 where it holds them, and how far ahead."""
+    """Return the horizontal and vertical positions of points in the picture, within 0..1 where they are visible, and their
+    distances ahead."""
     seen = view(Camera(three(at), three(aim), focal=focal, up=three(up)), round(1000 * aspect), 1000, three(up))
     places, ahead = seen.project(points)
     return places / np.array([seen.width, seen.height]), ahead
 
 
 def _holds(at: Array, aim: Array, points: Array, up: Array, focal: float, aspect: float) -> bool:
-    """Whether the points would fit into the picture once it is centred on them."""
+    """Return whether the points would fit into the picture if it were centred on them."""
     shares, ahead = _shares(at, aim, points, up, focal, aspect)
     wide = shares.max(axis=0) - shares.min(axis=0)
     return bool((ahead > 0).all() and (wide <= 0.93).all())
 
 
 def _centred(at: Array, aim: Array, points: Array, up: Array, focal: float, aspect: float) -> tuple[Array, Array]:
-    """The camera moved across, so that the points lie in the picture's middle."""
+    """Return the camera moved sideways, so that the points are in the picture's centre."""
     for _ in range(4):
         shares, _ = _shares(at, aim, points, up, focal, aspect)
         off = (shares.max(axis=0) + shares.min(axis=0)) / 2 - 0.5
@@ -101,11 +102,11 @@ def _centred(at: Array, aim: Array, points: Array, up: Array, focal: float, aspe
 def camera_at_eye_level(
     picture: Picture, agent: int | None = None, *, species: str | None = None, focal: float = 26.0, close: bool = False
 ) -> Camera | None:
-    """A camera a few body lengths from an agent, at the height of its back, with nothing in between and much to see behind it;
-    with `close` so near that the agent fills the picture.
+    """Return a camera a few body lengths from an agent, at the height of its back. It has a free view, and much to see behind the
+    agent. With `close`, the agent fills the picture.
 
-    `agent`: an id of `species` (of the first that has it where none is named); None takes one with company.
-    Gives None when there is no such agent."""
+    `agent`: an id of `species` (by default, of the first that has it); None chooses one with others nearby. The result is None
+    when there is no such agent."""
     crowds = [crowd for crowd in picture.crowds if len(crowd.position) and species in (None, crowd.species)]
     if not crowds:
         return None
@@ -131,7 +132,7 @@ def camera_at_eye_level(
 
 
 def _with_company(crowd: Crowd) -> NDArray[np.int64]:
-    """Rows of agents with many others within twelve body lengths, not all from one spot."""
+    """Return rows of agents with many others within twelve body lengths, not all at one position."""
     from scipy.spatial import cKDTree
 
     points = np.where(np.isfinite(crowd.position), crowd.position, 1e12)
@@ -143,7 +144,7 @@ def _with_company(crowd: Crowd) -> NDArray[np.int64]:
 
 
 def _around(crowd: Crowd, row: int, focal: float, upright: Array, close: bool) -> list[Camera]:
-    """Places round one agent, from behind its shoulder and before it first."""
+    """Return camera positions around one agent; those behind its shoulder and in front of it come first."""
     scale = float(crowd.scale[row])
     orient = np.asarray(crowd.orient, np.float64)[row : row + 1]
     ahead, up, side = (turned(orient, np.array([axis]))[0] for axis in ((1.0, 0, 0), (0, 1.0, 0), (0, 0, 1.0)))
@@ -161,7 +162,7 @@ def _around(crowd: Crowd, row: int, focal: float, upright: Array, close: bool) -
 
 
 def _score(crowd: Crowd, row: int, camera: Camera, rays: RayScene) -> float:
-    """How much of the crowd a camera shows; far below zero where ground or stone is in the way."""
+    """Return a score for how much of the crowd a camera shows; far below zero where ground or stone blocks the view."""
     seen = view(camera, 160, 90, camera.up or (0.0, 1.0, 0.0))
     scale = float(crowd.scale[row])
     target = np.asarray(crowd.position, np.float64)[row] + scale * 0.2 * np.asarray(camera.up)

@@ -1,4 +1,4 @@
-"""Pictures into files: PNG stills, and films where the extra `[video]` is installed."""
+"""Output of pictures: PNG stills, and films where the extra `[video]` is installed."""
 
 import errno
 import io
@@ -17,7 +17,7 @@ Image = NDArray[np.uint8]
 
 
 def still(image: Image, path: Path) -> None:
-    """Writes a PNG, whole or not at all. Raises OSError where that cannot be done."""
+    """Write a PNG atomically. Raises OSError where that fails."""
     from PIL import Image as PillowImage
 
     data = io.BytesIO()
@@ -26,7 +26,7 @@ def still(image: Image, path: Path) -> None:
 
 
 def film_ready() -> Report:
-    """Empty where films can be written; else one error that names the extra. To be asked before frames are drawn."""
+    """Return an empty report if films can be written, else one error that names the extra. Call it before frames are drawn."""
     report = Report()
     try:
         import imageio_ffmpeg
@@ -43,9 +43,9 @@ def film_ready() -> Report:
 
 
 def film(images: Iterable[Image], path: Path, fps: float) -> Report:
-    """Writes pictures (h, w, 3) of one size as an H.264 film; an odd last row or column is left out, as the format asks.
+    """Write pictures (h, w, 3) of one size as an H.264 film. An odd last row or column is left out, as the format requires.
 
-    An error without the extra `[video]`, without pictures, and where the file cannot be written."""
+    The report has an error without the extra `[video]`, without pictures, and where the file cannot be written."""
     report = film_ready()
     if not report.ok:
         return report
@@ -80,7 +80,7 @@ def film(images: Iterable[Image], path: Path, fps: float) -> Report:
 
 
 def _demand_frames(path: Path, count: int) -> None:
-    """OSError where a film has fewer frames than were drawn, or is cut off: the encoder says nothing of a disk that is full."""
+    """Raise OSError where a film has fewer frames than were drawn, or is truncated. The encoder does not report a full disk."""
     import imageio_ffmpeg
 
     try:

@@ -24,7 +24,7 @@ _TICKS = (1.0, 0.1, 0.01, 0.001)  # of the strongest
 
 
 def strip_width(picture: Picture, width: int, show: tuple[str, ...]) -> int:
-    """How many pixels of a sheet `width` wide the strip takes: none where there is nothing to tell."""
+    """Return the width in pixels of the legend on a sheet `width` wide; 0 where there is nothing to show."""
     told = picture.legend or (picture.trails and "trail" in show)
     return min(max(round(_SHARE * width), 120), width // 2) if told else 0
 
@@ -64,7 +64,7 @@ def with_strip(image: Image, picture: Picture, wide: int, show: tuple[str, ...])
 
 
 def _fitting(draw: ImageDraw.ImageDraw, picture: Picture, room: int, size: int) -> int:
-    """The size of letters at which the longest name of a state has its number beside it, if not less than a little smaller."""
+    """Return the font size at which every state name fits beside its count, but at least 70 % of `size`."""
     small = size
     while small > max(8, round(0.7 * size)) and any(
         draw.textlength(row.name, font=font(small)) + draw.textlength(f"{row.count:,}", font=font(small)) > room
@@ -75,7 +75,7 @@ def _fitting(draw: ImageDraw.ImageDraw, picture: Picture, room: int, size: int) 
 
 
 def _line(draw: ImageDraw.ImageDraw, name: str, count: str, place: tuple[int, int], right: int, size: int) -> None:
-    """A name at the left, cut short where there is no room, and a number at the right."""
+    """Draw a name at the left, truncated if necessary, and a number at the right."""
     left, top = place
     number = draw.textlength(count, font=font(size))
     room = right - left - number - size * 0.5
@@ -88,7 +88,7 @@ def _line(draw: ImageDraw.ImageDraw, name: str, count: str, place: tuple[int, in
 def _scale(
     strip: PillowImage.Image, draw: ImageDraw.ImageDraw, trail: Trail, place: tuple[int, int], right: int, size: int
 ) -> None:
-    """A bar in the colours that the field has on level soil, with the strengths that have them."""
+    """Draw a bar in the colours of the field on level soil, labelled with the corresponding strengths."""
     left, top = place
     full = full_of(trail)
     draw.text((left, top), trail.name, font=font(size), fill=_INK)
@@ -115,8 +115,8 @@ def _scale(
 
 
 def contact_sheet(images: Sequence[Image], labels: Sequence[str], *, columns: int | None = None, width: int = 1920) -> Image:
-    """A sheet `width` pixels wide of pictures (h, w, 3), with a label each. Raises ValueError when there is no picture,
-    or not one label for each."""
+    """Return a sheet `width` pixels wide of pictures (h, w, 3), each with a label. Raises ValueError without pictures, or when
+    the number of labels differs."""
     if not images or len(images) != len(labels):
         raise ValueError("a contact sheet takes at least one picture and one label for each")
     across = max(1, min(columns or round(len(images) ** 0.5 + 0.3), len(images)))

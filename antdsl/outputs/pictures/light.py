@@ -1,4 +1,4 @@
-"""Sun, sky, haze and the curve that makes display values of light. Everything is linear light in float32 until `displayed`."""
+"""Sun, sky, haze and the tone curve from light to display values. Everything is linear light in float32 until `displayed`."""
 
 from dataclasses import dataclass
 from functools import cache
@@ -28,7 +28,7 @@ class Sun:
     up: Floats
 
     def spots(self, count: int) -> Floats:
-        """Directions (count, 3) to places that cover the sun's disc evenly; those that follow each other lie apart."""
+        """Return directions (count, 3) to points that cover the sun's disc evenly; consecutive ones are far from each other."""
         k = np.arange(count)
         angle = k * (np.pi * (3 - np.sqrt(5)))
         radius = np.sqrt((k + 0.5) / count) * SUN_WIDTH
@@ -37,7 +37,7 @@ class Sun:
 
 
 def sun_over(up: NDArray[np.float64], elevation: float = 40.0, azimuth: float = 280.0) -> Sun:
-    """A sun at `elevation` and `azimuth` degrees above the level plane of `up`."""
+    """Return a sun at `elevation` and `azimuth` degrees above the plane perpendicular to `up`."""
     upward = up / np.linalg.norm(up)
     first = np.roll(upward, 1) - upward * float(np.dot(np.roll(upward, 1), upward))
     first /= np.linalg.norm(first)
@@ -50,7 +50,7 @@ def sun_over(up: NDArray[np.float64], elevation: float = 40.0, azimuth: float = 
 
 
 def ambient(upness: Floats) -> Floats:
-    """Light (n, 3) from the sky and the ground around for normals that point up by `upness` (−1..1)."""
+    """Return ambient light (n, 3) from sky and ground for normals with the vertical component `upness` (−1..1)."""
     share = (0.5 + 0.5 * upness)[:, None]
     return SKY * share + BOUNCE * (1 - share)
 
@@ -73,7 +73,8 @@ def around(direction: Floats, sun: Sun) -> Floats:
 
 
 def hazed(colour: Floats, far: Floats, direction: Floats, sun: Sun, reach: float) -> Floats:
-    """`colour` seen through `far` of air that hides half at about 0.7 `reach`; looking down there is little of it."""
+    """Return `colour` seen through `far` of air that hides half at about 0.7 `reach`; there is little haze in downward
+    directions."""
     level = 1 - np.clip(-(direction @ sun.up), 0.0, 1.0)
     amount = (1 - np.exp(-far / np.float32(reach))) * level * level * level
     through: Floats = colour + (HORIZON - colour) * amount[:, None]
@@ -81,7 +82,7 @@ def hazed(colour: Floats, far: Floats, direction: Floats, sun: Sun, reach: float
 
 
 def displayed(light: Floats) -> Floats:
-    """Display-linear values 0..1: straight in the darks and middles, rolling off softly above 0.7."""
+    """Return display-linear values 0..1: linear in dark and middle tones, compressed softly above 0.7."""
     light = np.maximum(light * np.float32(0.62), 0)
     knee = np.float32(0.7)
     over = np.maximum(light - knee, 0)

@@ -38,7 +38,7 @@ BRIGHT = 2.6  # of a light: several times what the sun makes of white
 
 @dataclass(frozen=True, slots=True)
 class Scales:
-    """Lengths in world units that the looks go by: the whole set's `extent`, the `grain` of about one body length."""
+    """Reference lengths of the looks, in world units: the `extent` of the complete set, the `grain` of about one body length."""
 
     extent: float
     grain: float
@@ -46,7 +46,7 @@ class Scales:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Surface:
-    """Samples of what stands still: linear `albedo` (n, 3) and the `normal` (n, 3) with its grain."""
+    """Samples of static things: linear `albedo` (n, 3) and the `normal` (n, 3) including grain."""
 
     albedo: Floats
     normal: Floats
@@ -71,7 +71,7 @@ def surface(
 
 
 def soiled(albedo: Floats, normal: Floats, points: Floats, pixel: Floats, scales: Scales) -> Surface:
-    """Loose soil of some colour (n, 3), with its grain."""
+    """Return the look of loose soil with a given colour (n, 3), with its grain."""
     return _grained(albedo, normal, np.full(len(points), HILL, np.uint8), points, pixel, scales)
 
 
@@ -100,8 +100,7 @@ def _grained(albedo: Floats, normal: Floats, kind: NDArray[np.uint8], points: Fl
 
 
 def _sanded(albedo: Floats, normal: Floats, kind: NDArray[np.uint8], points: Floats, pixel: Floats, scales: Scales) -> None:
-    """Lays grains of sand on soil, coarse ones in patches, each size where a pixel is small enough to show its grains one by
-    one."""
+    """Add grains of sand to soil, coarse ones in patches, each size only where pixels resolve single grains."""
     loose = np.flatnonzero(np.isin(kind, _LOOSE))
     for size, share, seed in ((0.11, 0.16, 21), (0.042, 0.42, 22), (0.016, 0.85, 23), (0.006, 1.0, 24)):
         length = size * scales.grain
@@ -190,8 +189,8 @@ _COLOURS = (_ground, _stone, _boulder, _hill, _table, _edge, _grain, _figure, _m
 
 
 def glow(kind: NDArray[np.uint8], look: Surface, way: Floats, sun: Sun) -> Floats:
-    """Light (n, 3) that samples seen along `way` send out beside what they scatter: what metal and leaves mirror, light of their
-    own."""
+    """Return the light (n, 3) of samples seen along `way` in addition to scattered light: reflections of metal and leaves, and
+    emission."""
     light = np.zeros((len(kind), 3), np.float32)
     for code, colour, least in ((METAL, STEEL, 0.75), (LEAF, np.ones(3, np.float32), 0.04)):
         here = np.flatnonzero(kind == code)
@@ -203,19 +202,19 @@ def glow(kind: NDArray[np.uint8], look: Surface, way: Floats, sun: Sun) -> Float
 
 
 def mirrored(normal: Floats, way: Floats, sun: Sun) -> Floats:
-    """What surfaces mirror (n, 3) of sky and ground along rays that come by `way` (n, 3)."""
+    """Return the reflections (n, 3) of sky and ground for rays with directions `way` (n, 3)."""
     back = np.clip(-dots(normal, way), 0, 1)
     return around(way + normal * (2 * back)[:, None], sun)
 
 
 def schlick(normal: Floats, way: Floats, least: float) -> Floats:
-    """The share (n,) of light that a surface mirrors: `least` from straight above, all at a grazing angle (Schlick, Computer
+    """Return the reflected share (n,) of light: `least` for perpendicular rays, all at a grazing angle (Schlick, Computer
     Graphics Forum 13(3), 1994)."""
     return np.asarray(least + (1 - least) * (1 - np.clip(-dots(normal, way), 0, 1)) ** 5, np.float32)
 
 
 def _turned(rows: Floats, matrix: Floats) -> Floats:
-    """Rows (n, 3) times a matrix: written out, for BLAS wakes threads that cost more than they do."""
+    """Return rows (n, 3) times a matrix, written out: BLAS would wake threads, which cost more than the product."""
     turned = np.empty_like(rows)
     for k in range(3):
         turned[:, k] = rows[:, 0] * matrix[0, k] + rows[:, 1] * matrix[1, k] + rows[:, 2] * matrix[2, k]
@@ -256,15 +255,17 @@ def value_noise(points: Floats, wavelength: float, seed: int) -> tuple[Floats, F
 
 @lru_cache(maxsize=4)
 def _grains(seed: int) -> Floats:
-    """For each cell of a lattice where in it a grain lies, and its tone."""
+    """Return, for each lattice cell, the position of a grain in it, and its tone."""
     draw = np.random.Generator(np.random.Philox(seed)).uniform(-1.0, 1.0, (_EDGE**3, 4)).astype(np.float32)
     draw.setflags(write=False)
     return draw
 
 
 def grain_noise(points: Floats, size: float, seed: int) -> tuple[Floats, Floats, Floats]:
-    """Ground of packed grains at `points` (n, 3), about one a `size` (Worley, SIGGRAPH 1996): how far each is from the middle
-    of its grain (n,), 0..1, the way from there (n, 3), about one long at the rim, and the grain's tone (n,) within −1..1."""
+    """Return packed grains at `points` (n, 3), about one per `size` (Worley, SIGGRAPH 1996).
+
+    The results are the distance from the grain's centre (n,), 0..1; the vector from there (n, 3), of length about 1 at the rim;
+    and the grain's tone (n,) within −1..1."""
     table = _grains(seed)
     scaled = _turned(points, _TURN * np.float32(1.0 / size))
     low = np.floor(scaled - np.float32(0.5))

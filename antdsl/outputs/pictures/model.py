@@ -1,4 +1,4 @@
-"""What a picture is made of: solids, crowds, items, trails, flows, a camera. Plain values; nothing here draws."""
+"""The content of a picture: solids, crowds, items, trails, flows, a camera. Plain values; nothing here draws."""
 
 from dataclasses import dataclass, field, replace
 from functools import cache
@@ -23,10 +23,10 @@ Shape = Literal["apple", "ring", "crumb", "cube", "mound", "sphere", "none"]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Solid:
-    """A mesh that stands still between frames: `vertices` (n, 3) in world units, `faces` (m, 3).
+    """A mesh that is static between frames: `vertices` (n, 3) in world units, `faces` (m, 3).
 
-    `colour`: display (sRGB) values 0..1, one (3,) or one a vertex (n, 3); None, and a vertex that has none (NaN), take the
-    look of its `kind`."""
+    `colour`: display (sRGB) values 0..1, one (3,) or one per vertex (n, 3). None, or NaN for a vertex, means the look of its
+    `kind`."""
 
     name: str
     vertices: Array
@@ -37,8 +37,8 @@ class Solid:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Paths:
-    """Where agents are over some frames, one after the other: `places` (n, frames, 3), not a number where one is not there.
-    `now` is the place of the picture's own frame among them."""
+    """Positions of agents over consecutive frames: `places` (n, frames, 3), NaN where an agent is missing. `now` is the index of
+    the picture's own frame."""
 
     places: Array
     now: int
@@ -51,13 +51,13 @@ def _ant() -> PosedBody:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Crowd:
-    """Agents of one species. `position` (n, 3), `orient` (n, 4) quaternions x, y, z, w that turn +x to the heading and +y to up,
-    `scale` (n,) body lengths in world units, `colour` (n, 3) display values 0..1.
+    """Agents of one species. `position` (n, 3). `orient` (n, 4): quaternions x, y, z, w that turn +x to the heading and +y to up.
+    `scale` (n,): body lengths in world units. `colour` (n, 3): display values 0..1.
 
-    `worn` is their body (an ant if none is given), posed by the clips that agents play, `plays` what each machine of theirs does,
-    `driven` what else their states show, and `feet` where they stand, if that is known; a species whose agents wear different
-    layers is several crowds. `after`: the same agents, row by row, in the frame after, for motion blur. `ids`, `velocity` (n, 3),
-    `feelers` (k, 2, 3: starts and ends) and `paths` are needed only where they are to be shown."""
+    `worn` is their body (an ant by default), posed by the clips that agents play; `plays` is what each of their machines does.
+    `driven` is what else their states display, and `feet` is where they stand, if known. A species with agents in different
+    layers is several crowds. `after`: the same agents, row by row, in the next frame, for motion blur. `ids`, `velocity` (n, 3),
+    `feelers` (k, 2, 3: starts and ends) and `paths` are needed only where they are displayed."""
 
     species: str
     position: Array
@@ -75,24 +75,24 @@ class Crowd:
     after: "Crowd | None" = None
 
     def poses(self, local: bool = False) -> Poses:
-        """Transforms and channels of all agents in the space of the body that they wear."""
+        """Return transforms and channels of all agents in the space of their body."""
         count = len(self.position)
         return self.worn.poses(self.plays, count, self.feet_beside(np.arange(count)), driven=self.driven, local=local)
 
     def posed(self, body: PosedBody, rows: NDArray[np.intp]) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """Vertices and unit normals float32[n, v, 3] of some agents in what they wear or its `fine` or `coarse` form, in body
-        lengths along their own axes."""
+        """Return vertices and unit normals float32[n, v, 3] of some agents, in body lengths along their own axes. `body` is their
+        body or its `fine` or `coarse` form."""
         plays = [each.rows(rows) for each in self.plays]
         return body.posed(plays, len(rows), self.feet_beside(rows), driven=self.driven.rows(rows))
 
     def feet_beside(self, rows: NDArray[np.intp] | NDArray[np.bool_]) -> FeetOfBodies | None:
-        """The feet of some agents beside their bodies, as `PosedBody.posed` takes them; None where none are known."""
+        """Return the feet of some agents as `PosedBody.posed` expects them; None where none are known."""
         if self.feet is None:
             return None
         return self.feet.rows(rows).beside(*(np.asarray(each)[rows] for each in (self.position, self.orient, self.scale)))
 
     def rows(self, chosen: NDArray[np.bool_] | NDArray[np.intp]) -> "Crowd":
-        """Some agents of the crowd, without feelers, which are no agent's by row."""
+        """Return selected agents of the crowd. Feelers are dropped, since they have no rows of agents."""
 
         def of(array: Any) -> Any:
             return None if array is None else array[chosen]
@@ -116,8 +116,8 @@ class Crowd:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Item:
-    """Food, a nest, anything placed: `left` is the share that is still there, 0..1; the body shrinks with it. With a `look` it is
-    made of that, whatever its shape is by itself."""
+    """Food, a nest or another placed object. `left` is the remaining share, 0..1; the body shrinks with it. A `look` replaces the
+    material of its shape."""
 
     name: str
     position: tuple[float, float, float]
@@ -129,9 +129,10 @@ class Item:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Trail:
-    """A field on the ground: all its cells, at `position` (n, 3) on the surface, of edge `cell`, with `strength` (n,), 0 where
-    there is no scent: towards those beside it it fades. `full` is the strength drawn strongest (None: 70 % of the scent lies in
-    cells at least so strong)."""
+    """A field on the ground: all its cells, at `position` (n, 3) on the surface, with edge `cell` and `strength` (n,).
+
+    Cells without scent have strength 0; scent fades towards them. `full` is the strength drawn strongest (None: 70 % of the scent
+    lies in cells of at least that strength)."""
 
     name: str
     position: Array
@@ -143,7 +144,8 @@ class Trail:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Arrows:
-    """A flow on the ground: arrows from `position` (n, 3) to `position + way`; `colour` is one of display values 0..255."""
+    """A flow on the ground: arrows from `position` (n, 3) to `position + way`; `colour` is one colour in display values
+    0..255."""
 
     name: str
     position: Array
@@ -153,8 +155,8 @@ class Arrows:
 
 @dataclass(frozen=True, slots=True)
 class Camera:
-    """A pinhole on a 36 mm wide sensor: `focal` in millimetres, or `fov` (degrees across the width) where that is given. With
-    `wide` its rays are parallel, and the picture is so many world units wide."""
+    """A pinhole camera with a 36 mm wide sensor: `focal` in millimetres, or `fov` (degrees across the width) if set. With `wide`,
+    rays are parallel, and the picture has that width in world units."""
 
     at: tuple[float, float, float]
     look_at: tuple[float, float, float]
@@ -176,9 +178,9 @@ class LegendRow:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Picture:
-    """One frame, ready to be drawn. `up` is the world's up; `legend`, `frame` and the scales of trails are written beside it.
+    """One frame, ready to draw. `up` is the world's up; `legend`, `frame` and the scales of trails are written beside it.
 
-    `grain`: the length that the ground's grain and pebbles go by; None takes the body length of the first crowd."""
+    `grain`: the reference length of the ground's grain and pebbles; None means the body length of the first crowd."""
 
     solids: tuple[Solid, ...] = ()
     crowds: tuple[Crowd, ...] = ()

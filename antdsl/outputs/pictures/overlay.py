@@ -1,4 +1,4 @@
-"""What is written over a drawn picture: agents as marks, paths, velocity and feelers as lines, ids."""
+"""Overlays on a drawn picture: agents as marks, paths, velocity and feelers as lines, ids."""
 
 from functools import cache
 
@@ -31,9 +31,10 @@ def font(size: int) -> ImageFont.FreeTypeFont | ImageFont.ImageFont:
 def draw_overlay(
     image: Image, picture: Picture, view: View, far: NDArray[np.float32], show: tuple[str, ...], marks: float
 ) -> Image:
-    """`image` with the lines and ids that `show` asks for, and discs of `marks` pixels for agents, less what is behind ground.
+    """Return `image` with the lines and ids in `show`, and discs of `marks` pixels for agents. Parts behind the ground are left
+    out.
 
-    `far` (h, w): distance of the still things."""
+    `far` (h, w): distance of the static things."""
     lines = [word for word in ("flow", "velocity", "paths", "feelers", "ids") if word in show]
     if not lines and marks <= 0:
         return image
@@ -60,7 +61,7 @@ def draw_overlay(
 
 
 def _lifted(crowd: Crowd) -> Array:
-    """Places a little above the ground, at the height of the body."""
+    """Return positions slightly above the ground, at the height of the body."""
     up = turned(np.asarray(crowd.orient, np.float64), np.tile([0.0, 1.0, 0.0], (len(crowd.position), 1)))
     return np.asarray(crowd.position, np.float64) + up * 0.25 * np.asarray(crowd.scale, np.float64)[:, None]
 
@@ -70,7 +71,7 @@ def _visible(crowd: Crowd, view: View, depth: NDArray[np.float32]) -> NDArray[np
 
 
 def _unhidden(points: Array, view: View, depth: NDArray[np.float32]) -> NDArray[np.bool_]:
-    """Whether nothing that stands still is before each point; False for what the picture does not hold."""
+    """Return whether each point is in the picture and not hidden by a static thing."""
     places, ahead = view.project(points)
     inside = (ahead > 0) & (places >= 0).all(axis=1) & (places[:, 0] < view.width) & (places[:, 1] < view.height)
     column, row = np.where(inside[:, None], places, 0).astype(np.int64).T
@@ -80,7 +81,7 @@ def _unhidden(points: Array, view: View, depth: NDArray[np.float32]) -> NDArray[
 
 
 def _draw_lines(draw: ImageDraw.ImageDraw, view: View, ends: Array, colour: tuple[int, int, int]) -> None:
-    """Lines between ends (n, 2, 3) that are both ahead of the camera."""
+    """Draw lines between end points (n, 2, 3) that are both in front of the camera."""
     if not len(ends):
         return
     places, ahead = view.project(ends.reshape(-1, 3))
@@ -92,8 +93,9 @@ def _draw_lines(draw: ImageDraw.ImageDraw, view: View, ends: Array, colour: tupl
 
 
 def _draw_paths(draw: ImageDraw.ImageDraw, view: View, paths: Paths, depth: NDArray[np.float32]) -> None:
-    """Ways gone dark, ways to go bright, from place to place, fainter towards their ends. Pieces with an end that is hidden, or
-    not there, are left out; what is nearest to now lies on top."""
+    """Draw past paths dark and future paths bright, position by position, fainter towards their ends.
+
+    Segments with a hidden or missing end are left out. The segments nearest to the current frame are on top."""
     count, frames = paths.places.shape[:2]
     points = paths.places.reshape(-1, 3)
     there = np.isfinite(points).all(axis=1)
@@ -115,7 +117,7 @@ def _draw_paths(draw: ImageDraw.ImageDraw, view: View, paths: Paths, depth: NDAr
 
 
 def _draw_arrows(draw: ImageDraw.ImageDraw, view: View, flow: Arrows, seen: NDArray[np.bool_]) -> None:
-    """Arrows of a flow whose start is seen."""
+    """Draw the arrows of a flow that start at a visible point."""
     start, way = flow.position[seen], flow.way[seen]
     if not len(start):
         return
@@ -149,8 +151,8 @@ def _draw_ids(draw: ImageDraw.ImageDraw, view: View, crowd: Crowd, rows: NDArray
 
 
 def _marked(canvas: PillowImage.Image, picture: Picture, view: View, far: NDArray[np.float32], wide: float) -> None:
-    """A disc `wide` pixels across for each agent that is not hidden, in its colour, those in front over those behind; drawn
-    larger and made smaller, for soft edges."""
+    """Draw a disc `wide` pixels across for each visible agent, in its colour, near ones over far ones. Discs are drawn enlarged
+    and scaled down, for soft edges."""
     times = 4 if view.width * view.height <= 1 << 20 else 2
     sheet = PillowImage.new("RGBA", (view.width * times, view.height * times))
     draw = ImageDraw.Draw(sheet)

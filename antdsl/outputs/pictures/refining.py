@@ -1,4 +1,4 @@
-"""One sample a pixel, then more of those pixels in which something begins, ends or moves (Mitchell, SIGGRAPH 1987)."""
+"""One sample per pixel, then more samples for pixels with an edge or a moving thing (Mitchell, SIGGRAPH 1987)."""
 
 from dataclasses import dataclass, fields
 
@@ -22,9 +22,11 @@ _FEWEST, _BUDGET = 4, 1.1  # samples of a refined pixel at least, and of all of 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class First:
-    """By pixel, of its middle: display-linear `light` (h · w, 3), the same without what moves, `behind`, the open share `opened`
-    of its surroundings, and whether something that moves is in `front`; `swept`: at one of several moments, or
-    something tiny may be."""
+    """Samples at pixel centres: display-linear `light` (h · w, 3), the same without moving things, `behind`, and the unoccluded
+    share `opened` of the surroundings.
+
+    `front`: whether something that moves is in front. `swept`: whether that is so at one of several moments, or something tiny
+    may be there."""
 
     light: Floats
     behind: Floats
@@ -72,8 +74,7 @@ def middles(still: Stage, lighting: Lighting, dyes: Dyes) -> First:
 def before(
     still: Stage, lighting: Lighting, pixels: Rows, far: Floats, place: tuple[float, float], moment: int
 ) -> tuple[Rows, Sights]:
-    """Which of the rays through one place in some pixels meet something that moves at a moment, nearer than `far`; what they
-    meet."""
+    """Return which rays through one position in some pixels hit a moving thing nearer than `far` at a moment, and the hits."""
     start, way = still.view.rays(pixels, *place)
     hits = lighting.cast.rays[moment].cast(start, way, lighting.threads)
     kept = np.flatnonzero(hits.t < far)
@@ -110,7 +111,7 @@ def refined(still: Stage, lighting: Lighting, dyes: Dyes, first: First, most: in
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Sample:
-    """One sample of pixels: where in each, at which moment, by which place on the sun's disc."""
+    """One sample of pixels: its position in the pixel, its moment, and its point on the sun's disc."""
 
     still: Stage
     lighting: Lighting
@@ -119,13 +120,13 @@ class _Sample:
     sunspot: Floats
 
     def lit(self, dyes: Dyes, first: First, seen: Samples) -> Floats:
-        """Display-linear light (n, 3) of samples of all that stands still, and of what is before it."""
+        """Return display-linear light (n, 3) of samples of static things, and of moving things in front of them."""
         visible = shadowed(self.lighting, seen, self.moment, self.sunspot)
         light = still_light(self.lighting, seen, slice(None), dyes.coloured(seen), visible, first.opened[seen.pixel])
         return self.before(seen.pixel, seen.far, displayed(light))
 
     def before(self, pixels: Rows, far: Floats, light: Floats) -> Floats:
-        """The light of pixels less far than which nothing stands still, with what moves before that."""
+        """Return `light` of pixels, replaced where a moving thing is nearer than the static distance `far`."""
         near = np.flatnonzero(self.lighting.cast.near[pixels])
         rows, hits = before(self.still, self.lighting, pixels[near], far[near], self.place, self.moment)
         if len(rows):
@@ -137,7 +138,7 @@ class _Sample:
 
 
 def _unsettled(still: Stage, first: First) -> Rows:
-    """Pixels in which surfaces meet, something moves, or what moves differs from what is beside it."""
+    """Return pixels where surfaces meet, something moves, or a moving thing differs from its neighbour pixels."""
     high, wide = still.view.height, still.view.width
     found = first.swept.copy().reshape(high, wide)
     front = first.front.reshape(high, wide)

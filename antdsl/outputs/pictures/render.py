@@ -1,6 +1,6 @@
-"""Draws a `Picture` from a `Camera`: rays for what is seen, sun and open sky for its light; keeps what stands still.
+"""Rendering of a `Picture` from a `Camera`: rays for visibility, sun and open sky for light. Static things are cached.
 
-One `Renderer` for a film; `render_frame` for a single picture."""
+Use one `Renderer` for a film, `render_frame` for a single picture."""
 
 from __future__ import annotations
 
@@ -30,19 +30,20 @@ SHOWN = ("trail", "flow", "feelers", "velocity", "paths", "ids")
 
 @dataclass(slots=True)
 class _Kept:
-    """What one camera saw of what stands still, and the colours of fields on it."""
+    """Samples of static things for one camera, and the colours of fields on them."""
 
     stage: Stage
     dyes: Dyes
 
 
 class Renderer:
-    """Draws pictures of one size; while solids and camera stay the same objects and values, their rays are not cast again.
+    """Renderer of pictures of one size. While solids and camera stay the same objects and values, rays for them are not cast
+    again.
 
-    Every pixel is one ray through its middle; one in which something ends, or moves, is the mean of 2 · `samples`² and more.
-    `threads`: for the rays (the bits do not depend on it). `least`: bodies that would be shorter than so many pixels are drawn
-    that long, up to `enlarged` times their size. With `marks` they are discs so many pixels wide instead. `blur`: the share of
-    a frame that the shutter is open for."""
+    Each pixel is one ray through its centre; a pixel with an edge or motion is the mean of 2 · `samples`² or more. `threads`: for
+    the rays; the result does not depend on it. `least`: bodies shorter than this many pixels are drawn that long, up to
+    `enlarged` times their size. `marks`: if set, bodies are discs of this width in pixels instead. `blur`: the share of a frame
+    for which the shutter is open."""
 
     def __init__(
         self,
@@ -84,7 +85,7 @@ class Renderer:
         return draw_overlay(image, picture, seen, kept.stage.middle.far.reshape(self.height, self.width), wanted, self.marks)
 
     def _setting(self, picture: Picture, up: Array) -> Setting:
-        """The ray scene of the solids; kept with the solids themselves, so that an id is not given to others."""
+        """Return the ray scene of the solids. It is cached with the solids themselves, so that no other solid gets their ids."""
         key = tuple(id(solid.vertices) for solid in picture.solids) + tuple(hash(float(v)) for v in up)
         for known, made, _ in self._settings:
             if known == key:
@@ -127,8 +128,8 @@ def render_frame(
 
 
 def _grain(picture: Picture, extent: float) -> float:
-    """The length that grain and shade go by: the picture's own, else the body length of the first crowd, rounded so that growth
-    keeps the stage; within what suits the extent."""
+    """Return the reference length of grain and shade: the picture's own, else the rounded body length of the first crowd, so that
+    growth does not invalidate the stage. It is limited to values that suit the extent."""
     if picture.grain is not None and picture.grain > 0:
         return float(min(max(picture.grain, extent / 2000), extent / 20))
     lengths = [float(np.median(crowd.scale)) for crowd in picture.crowds if len(crowd.scale)]

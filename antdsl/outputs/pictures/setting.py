@@ -34,7 +34,7 @@ _STANDS = 0.001  # the same where there is no floor: things stand on the table
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Part:
-    """A mesh of one `kind` (its place in KINDS), `painted` (n, 4) where it has colours of its own."""
+    """A mesh of one `kind` (its index in KINDS), `painted` (n, 4) if it has its own colours."""
 
     vertices: Array
     faces: NDArray[np.int32]
@@ -60,7 +60,7 @@ class Setting:
 
 
 def setting(solids: tuple[Solid, ...], up: Array) -> Setting:
-    """The solids made ready for rays; without any there is only the table."""
+    """Return the ray scene of the solids; without solids, only the table."""
     parts: list[Part] = []
     everything = np.concatenate([solid.vertices for solid in solids if len(solid.vertices)] or [np.zeros((1, 3))])
     low, high = everything.min(axis=0), everything.max(axis=0)
@@ -86,7 +86,7 @@ def setting(solids: tuple[Solid, ...], up: Array) -> Setting:
 
 
 def with_litter(still: Setting, view: View, scales: Scales) -> Setting:
-    """The setting with pebbles on its grounds where `view` is near enough to see them, else the same."""
+    """Return the setting with pebbles on its grounds where `view` is near enough to show them, else unchanged."""
     up = still.up.astype(np.float64)
     made = [litter(part.vertices, part.faces, up, view, scales) for part in still.parts if part.kind == looks.GROUND]
     grains = [Part(points, faces, looks.GRAIN) for points, faces in filter(None, made)]
@@ -106,7 +106,7 @@ def _assembled(parts: tuple[Part, ...], middle: Array, extent: float, base: floa
 
 
 def is_floor(vertices: Array, faces: NDArray[np.int32], up: Array) -> bool:
-    """Whether most of a surface faces up; one that closes on itself, as an animal does, is none."""
+    """Return whether most of a surface faces up. A closed surface, such as an animal, is not a floor."""
     corners = np.asarray(vertices, np.float64)[faces]
     across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     return float((across @ up).sum()) >= 0.5 * float(np.linalg.norm(across, axis=1).sum())
@@ -148,9 +148,9 @@ def _shapes(detail: int) -> tuple[Array, NDArray[np.int32]]:
 def litter(
     vertices: Array, faces: NDArray[np.int32], up: Array, view: View, scales: Scales
 ) -> tuple[Array, NDArray[np.int32]] | None:
-    """Pebbles lying on a ground near the camera, as one mesh; None where none would be seen as more than a speck.
+    """Return pebbles on the ground near the camera, as one mesh; None where none would be larger than a speck.
 
-    Each triangle has its own pebbles, wherever the camera is."""
+    The pebbles of a triangle do not depend on the camera."""
     corners = vertices[faces]
     middle = corners.mean(axis=1)
     away = np.linalg.norm(middle - view.eye, axis=1)
@@ -184,7 +184,7 @@ def litter(
 
 
 def _chances(face: NDArray[np.int64], rank: NDArray[np.int64]) -> Array:
-    """Five numbers within 0..1 for each pebble, from its triangle and its rank there alone."""
+    """Return five numbers within 0..1 for each pebble, which depend on its triangle and its rank there only."""
     own = (face * _A_FACE + rank).astype(np.uint64)[:, None]
     key: NDArray[np.uint64] = np.add(own * np.uint64(5), np.arange(5, dtype=np.uint64), dtype=np.uint64)
     # The finaliser of SplitMix64 (Steele et al., Fast Splittable Pseudorandom Number Generators, OOPSLA 2014).

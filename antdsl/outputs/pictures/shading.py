@@ -1,4 +1,4 @@
-"""The light of samples: what stands still with the shadows of what moves, what moves itself, sky and haze."""
+"""The light of samples: static things with the shadows of moving ones, moving things, sky and haze."""
 
 from dataclasses import dataclass
 
@@ -23,7 +23,7 @@ _LIFT = 2e-5  # extents that rays begin off a surface
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Lighting:
-    """What lights a frame: `cast` is what moves in it, `ground` what stands still."""
+    """The lighting inputs of a frame: `cast` has the moving things, `ground` the static ones."""
 
     cast: Actors
     ground: PictureRays
@@ -34,7 +34,7 @@ class Lighting:
 
 
 def still_light(lighting: Lighting, seen: Samples, own: slice, albedo: Floats, visible: Floats, opened: Floats) -> Floats:
-    """Light (n, 3) of some samples of what stands still, on which the sun falls by `visible` (n,), and the sky by `opened`
+    """Return light (n, 3) of some samples of static things. The sun reaches them by the share `visible` (n,), the sky by `opened`
     (n,)."""
     sun, extent = lighting.sun, lighting.scales.extent
     far, way = seen.far[own], seen.way[own]
@@ -55,13 +55,14 @@ def still_light(lighting: Lighting, seen: Samples, own: slice, albedo: Floats, v
 
 
 def lamp(facing: Floats, direct: Floats, opened: Floats) -> Floats:
-    """Light (n, 3) of a lamp beside the camera, where neither sun nor sky reach: so tunnels and rooms are seen."""
+    """Return light (n, 3) of a lamp beside the camera, where neither sun nor sky reach, so that tunnels and chambers are
+    visible."""
     dark = np.clip(1.15 - 1.5 * opened, 0, 1) * np.clip(1 - 3 * direct, 0, 1)
     return np.asarray(LAMP * (dark * (0.25 + 0.75 * np.clip(facing, 0, 1)))[:, None])
 
 
 def shadowed(lighting: Lighting, seen: Samples, moment: int, spot: Floats) -> Floats:
-    """1 (n,) where nothing that moves is between a sample and a place on the sun's disc at a moment, else 0."""
+    """Return 1 (n,) where no moving thing is between a sample and a point on the sun's disc at a moment, else 0."""
     visible = np.ones(len(seen), np.float32)
     if lighting.cast.size > 0:
         lit = np.flatnonzero(seen.sun > 0)
@@ -73,8 +74,9 @@ def shadowed(lighting: Lighting, seen: Samples, moment: int, spot: Floats) -> Fl
 
 
 def moving_light(lighting: Lighting, hits: Sights, start: Floats, way: Floats, moment: int, spot: Floats) -> Floats:
-    """Light (n, 3) from rays, from `start` along `way` (n, 3), that meet something that moves: a dull body with a coat that
-    mirrors sky and ground, and the sun; metal, which mirrors more; lights."""
+    """Return light (n, 3) along rays from `start` in direction `way` (n, 3) that hit a moving thing.
+
+    The material is a matt body with a coat that reflects sky, ground and sun; metal, which reflects more; or a light source."""
     mesh, sun = lighting.cast.mesh, lighting.sun
     corners = mesh.faces[hits.face]
     normal = units(blended(mesh.normal, corners, hits.u, hits.v))
@@ -111,7 +113,7 @@ def moving_light(lighting: Lighting, hits: Sights, start: Floats, way: Floats, m
 
 
 def _hide(lighting: Lighting, facing: Floats, where: Floats, moment: int, spot: Floats) -> None:
-    """Takes the sun from places (n, 3) that anything hides from it."""
+    """Remove the sun from points (n, 3) where something hides it."""
     cast, threads = lighting.cast, lighting.threads
     lit = np.flatnonzero(facing > 0)
     aim = np.broadcast_to(spot, (len(lit), 3))

@@ -20,13 +20,13 @@ def dots(a: Floats, b: Floats) -> Floats:
 
 
 def units(a: Floats) -> Floats:
-    """Rows (n, 3) made one long; a zero row stays zero."""
+    """Return rows (n, 3) scaled to unit length; a zero row stays zero."""
     return a * (1 / np.maximum(np.sqrt(dots(a, a)), np.float32(1e-12)))[:, None]
 
 
 def blended(table: Floats, corners: NDArray[np.int32], u: Floats, v: Floats) -> Floats:
-    """Values (n, c) of a `table` of vertices within faces of these `corners` (n, 3), of weights `u`, `v` for the second
-    and third corner."""
+    """Return interpolated values (n, c) of a per-vertex `table` within faces with these `corners` (n, 3). `u` and `v` are the
+    weights of the second and third corner."""
     total = table.take(corners[:, 0], axis=0)
     total *= (1 - u - v)[:, None]
     total += table.take(corners[:, 1], axis=0) * u[:, None]
@@ -40,7 +40,7 @@ def pieces(count: int) -> list[slice]:
 
 
 def each(work: Callable[[Any], None], parts: Iterable[Any], threads: int) -> None:
-    """Does every part of a work, each of which writes to places of its own."""
+    """Run every part of a job; each part writes to separate positions."""
     if threads == 1:
         for part in parts:
             work(part)

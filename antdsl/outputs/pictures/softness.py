@@ -1,7 +1,8 @@
-"""Soft edges of shadows and of shade without noise: neighbouring pixels ask in different directions, and share their answers
-where the surface goes on.
+"""Soft edges of shadows and of shade without noise: neighbouring pixels use different directions, and share results where the
+surface continues.
 
-Interleaved sampling (Keller and Heidrich, Eurographics Workshop on Rendering, 2001); filters whose weights cancel the pattern."""
+Interleaved sampling (Keller and Heidrich, Eurographics Workshop on Rendering, 2001); the weights of its filters cancel the
+pattern."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -23,8 +24,8 @@ _WIDE_TAPS, _NARROW_TAPS = np.array([1, 2, 2, 2, 1], np.float32) / 8, np.array([
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Grid:
-    """The middles of pixels on what stands still: `point`, `normal` float32 (h · w, 3), `solid` bool (h · w,) where there is
-    something, `edge` where the surface does not go on to a pixel beside; `hair`: how far (world units) rays begin off it."""
+    """Static samples at pixel centres: `point`, `normal` float32 (h · w, 3). `solid` bool (h · w,): whether there is something;
+    `edge`: whether the surface ends at a neighbour pixel. `hair`: offset (world units) of ray origins from the surface."""
 
     view: View
     point: Floats
@@ -66,10 +67,10 @@ def sunlit(
     threads: int,
     within: NDArray[np.bool_] | None = None,
 ) -> Floats:
-    """Share (h · w,) of the sun that pixels see: all where they do not face it, `facing` (h · w,) ≤ 0.
+    """Return the share (h · w,) of the sun that pixels see; 1 where they face away from it, `facing` (h · w,) ≤ 0.
 
-    `casts`: what is in the way, at as many moments, over which the answers are spread; `far`: nothing farther off is;
-    `within` (h · w,): nothing is in the way of others."""
+    `casts`: the occluders, at several moments; pixels are distributed over them. `far`: the maximum distance of occluders.
+    `within` (h · w,): the pixels that may be occluded; others are not."""
     high, wide = grid.view.height, grid.view.width
     lit = grid.solid & (facing > 0)
     asked = np.flatnonzero(lit if within is None else lit & within)
@@ -111,7 +112,7 @@ def _met(grid: Grid, pixels: NDArray[np.int64], way: Floats, cast: PictureRays, 
 
 
 def _mixed(hidden: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Pixels near which some are hidden and others are not."""
+    """Return pixels with both hidden and visible pixels nearby."""
     from scipy.ndimage import maximum_filter, minimum_filter
 
     values = hidden.astype(np.uint8)
@@ -122,7 +123,8 @@ def _mixed(hidden: NDArray[np.bool_]) -> NDArray[np.bool_]:
 def _filtered(
     values: Floats, pixels: NDArray[np.int64], grid: Grid, taps: Floats, counted: NDArray[np.bool_] | None = None
 ) -> Floats:
-    """Weighted means (n,) round pixels (n,) of `values` (h, w), of those whose surface goes on there and that are `counted`."""
+    """Return weighted means (n,) around pixels (n,) of `values` (h, w), over pixels where the surface continues and that are
+    `counted`."""
     from scipy.ndimage import convolve1d
 
     even = convolve1d(convolve1d(values, taps, axis=0, mode="nearest"), taps, axis=1, mode="nearest")
@@ -170,9 +172,10 @@ def _goes_on(grid: Grid, there: NDArray[np.int64], point: Floats, normal: Floats
 def open_share(
     grid: Grid, rays: PictureRays, reach: float, count: int, threads: int, within: NDArray[np.bool_] | None = None
 ) -> Floats:
-    """Share (h · w,) of directions over each pixel's surface in which nothing is near, `reach` (world units) at most: of `count`
-    rays a pixel, every second pixel of every second row, filled in between along the surfaces. `within` (h · w,): nothing is near
-    others."""
+    """Return the share (h · w,) of directions above each pixel's surface without an obstacle within `reach` (world units).
+
+    `count` rays are cast at every second pixel of every second row; values between are interpolated along surfaces. `within` (h ·
+    w,): the pixels that may have something near; others do not."""
     high, wide = grid.view.height, grid.view.width
     small = grid.halved()
     some = None if within is None else within.reshape(high, wide)[::2, ::2].reshape(-1)
@@ -212,7 +215,7 @@ def _opened(
 def _filled(
     grid: Grid, small: Grid, shade: Floats, rays: PictureRays, reach: float, threads: int, within: NDArray[np.bool_] | None = None
 ) -> Floats:
-    """The shade of all pixels from that of every second one; where none of its neighbours has the same surface, by own rays."""
+    """Return the shade of all pixels from every second one; by separate rays where no neighbour is on the same surface."""
     high, wide = grid.view.height, grid.view.width
     full = _between(shade.reshape(small.view.height, small.view.width), high, wide)
     full[~grid.solid] = 1
@@ -245,7 +248,7 @@ def _filled(
 
 
 def _between(small: Floats, high: int, wide: int) -> Floats:
-    """Values (h · w,) from those of every second pixel, by straight lines."""
+    """Return values (h · w,) by linear interpolation from those of every second pixel."""
     rows = np.empty((2 * small.shape[0], small.shape[1]), np.float32)
     rows[::2] = small
     rows[1::2] = (small + np.concatenate([small[1:], small[-1:]])) / 2
@@ -256,7 +259,8 @@ def _between(small: Floats, high: int, wide: int) -> Floats:
 
 
 def _spread(count: int) -> Floats:
-    """Directions (count · 16, 3) over the upper half sphere, denser towards its pole; every 16 in a row differ most."""
+    """Return directions (count · 16, 3) over the upper hemisphere, denser towards its pole; each 16 consecutive ones differ as
+    much as possible."""
     k = np.arange(count * 16)
     order = (k % 16) * count + k // 16
     turn = 2 * np.pi * np.mod(k * 0.6180339887498949, 1.0)

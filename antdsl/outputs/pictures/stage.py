@@ -1,5 +1,5 @@
-"""What a camera sees of a setting, kept from frame to frame while neither moves: the middle of each pixel, and several samples of
-those in which one surface ends before another."""
+"""What a camera sees of a setting, cached from frame to frame while neither moves: the middle of each pixel, and several samples
+of pixels in which one surface ends before another."""
 
 from dataclasses import dataclass, field
 
@@ -23,9 +23,9 @@ _STEP = 4.0  # pixels' widths off its plane from which on a neighbour lies behin
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Samples:
-    """n samples of what stands still: `pixel` int64, unit `way` (n, 3) and distance `far` of each ray (inf: sky), `point` (n, 3),
-    smooth `normal` and `albedo` (n, 3), `sun`: the cosine of its height over the surface, less what stands before it, `upness`
-    and `facing`: cosines of the normal with up and with the way back, `kind`, and light of its own, `glow` (n, 3), where any."""
+    """n samples of static objects. `pixel` int64; unit `way` (n, 3) and distance `far` of each ray (inf: sky); `point`, smooth
+    `normal` and `albedo` (n, 3). `sun`: the cosine of its height over the surface, 0 in shadow. `upness` and `facing`: cosines of
+    the normal with up and with the direction back. `kind`; emitted light `glow` (n, 3), where any."""
 
     pixel: NDArray[np.int64]
     way: Floats
@@ -50,8 +50,11 @@ class Samples:
 
 @dataclass(slots=True, eq=False)
 class Stage:
-    """`middle`: one sample a pixel. `edges` (e,): pixels of several surfaces, and `fine`: by sample, those of all of them.
-    `shade` (h · w,): the open share of each pixel's surroundings. One that `stays` for another frame keeps what it samples."""
+    """Static samples for one camera. `middle`: one sample per pixel. `edges` (e,): pixels with several surfaces; `fine`: by
+    sample number, the samples of all edges.
+
+    `shade` (h · w,): the unoccluded share of each pixel's surroundings. With `stays`, the stage is used for further frames and
+    caches its samples."""
 
     setting: Setting
     view: View
@@ -73,7 +76,7 @@ class Stage:
         return made
 
     def look(self, pixels: NDArray[np.int64], number: int, count: int, threads: int) -> Samples:
-        """Sample `number` of `count` of some pixels, by a ray to the sun of its own."""
+        """Return sample `number` of `count` of some pixels, with a separate ray to the sun."""
         across, down = spot(number, count)
         made = _looked(self.setting, self.view, pixels, (across, down), self.sun, self.scales, threads)
         lit = np.flatnonzero(made.sun > 0)
@@ -84,12 +87,13 @@ class Stage:
 
 
 def spot(number: int, count: int) -> tuple[float, float]:
-    """Where in a pixel sample `number` of `count` lies: the lattice of Roberts' sequence R2, which is even for any count."""
+    """Return the position of sample `number` of `count` in a pixel: the lattice of Roberts' sequence R2, which is even for any
+    count."""
     return (0.5 + (number + 1) * 0.7548776662466927) % 1.0, (0.5 + (number + 1) * 0.5698402909980532) % 1.0
 
 
 def stage(setting: Setting, view: View, sun: Sun, scales: Scales, threads: int) -> Stage:
-    """Casts and colours everything that stands still."""
+    """Cast and colour everything static."""
     setting = with_litter(setting, view, scales)
     middle = _looked(setting, view, np.arange(view.width * view.height), (0.5, 0.5), sun, scales, threads)
     solid = np.isfinite(middle.far)
@@ -103,7 +107,7 @@ def stage(setting: Setting, view: View, sun: Sun, scales: Scales, threads: int) 
 def _looked(
     setting: Setting, view: View, pixels: NDArray[np.int64], place: tuple[float, float], sun: Sun, scales: Scales, threads: int
 ) -> Samples:
-    """Samples of `pixels` at one place in each; the sun is not hidden yet."""
+    """Return samples of `pixels` at one position in each, before shadows."""
     n = len(pixels)
     three = [np.zeros((n, 3), np.float32) for _ in range(5)]
     way, point, normal, albedo, glow = three
@@ -149,7 +153,7 @@ def _surfaces(
 
 
 def _edges(view: View, middle: Samples, solid: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Whether another surface begins beside a pixel (h · w,), on either side."""
+    """Return whether another surface begins next to a pixel (h · w,), on either side."""
     high, wide = view.height, view.width
     found = np.zeros((high, wide), np.bool_)
     normal, point = middle.normal.reshape(high, wide, 3), middle.point.reshape(high, wide, 3)

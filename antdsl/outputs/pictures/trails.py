@@ -1,4 +1,4 @@
-"""Colours the ground by what is laid on it: the cells of a field, smoothed from cell to cell along the surface."""
+"""Ground colours from fields: cells, smoothed along the surface."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +18,7 @@ _GRAINS = (0.5, 1.6)  # times the light of soil
 
 
 class TrailCloth:
-    """The voxels that a trail's cells lie in, between two corners `low` and `high` (3,): made once a camera, coloured each
+    """The voxels of a trail's cells, between the corners `low` and `high` (3,): created once per camera, coloured in each
     frame."""
 
     def __init__(self, low: Array, high: Array, cell: float) -> None:
@@ -30,8 +30,8 @@ class TrailCloth:
         self._cells: Array | None = None
 
     def soak(self, trail: Trail) -> None:
-        """Spreads a trail over the voxels. Cells lie where the ground is and not on a lattice, so each is spread over the eight
-        about it."""
+        """Distribute a trail over the voxels. Cells are not on a lattice, so each is distributed over the eight voxels around
+        it."""
         if self._cells is not trail.position:
             self._cells = trail.position
             self._spread = _Spread(trail.position, self.low, self.cell, self.shape)
@@ -39,7 +39,7 @@ class TrailCloth:
         self._scent = self._spread.onto(cover(trail))
 
     def share(self, points: Floats) -> Floats:
-        """How much of the ground (n,) the trail covers at points (n, 3), 0..1: the nearer a cell, the more it counts."""
+        """Return the share of the ground (n,) that the trail covers at points (n, 3), 0..1; near cells have more weight."""
         scaled = (points - self.low.astype(np.float32)) * np.float32(1 / self.cell) - np.float32(0.5)
         whole = np.clip(np.floor(scaled), 0, np.asarray(self.shape, np.float32) - 2)
         part = np.clip(scaled - whole, 0, 1)
@@ -61,7 +61,7 @@ class TrailCloth:
 
 
 class Dyes:
-    """The colours that fields give to what one camera sees, all of which lies about as its `middle` samples do."""
+    """The colours of fields on everything that one camera sees. All points lie approximately where its `middle` samples are."""
 
     def __init__(self, middle: Samples) -> None:
         self._own, self._kept = middle, middle.trailed
@@ -94,7 +94,7 @@ class Dyes:
 
 
 class _Spread:
-    """Where cells at `position` (n, 3) lie among voxels, and the weights of the eight about each."""
+    """The positions of cells at `position` (n, 3) in the voxel grid, and the weights of the eight voxels around each."""
 
     def __init__(self, position: Array, low: Array, cell: float, shape: tuple[int, ...]) -> None:
         scaled = (np.asarray(position, np.float64) - low) / cell - 0.5
@@ -117,8 +117,8 @@ class _Spread:
 
 
 def robust_full(strength: Array) -> float:
-    """The strength to be drawn strongest: 70 % of all scent lies in cells at least so strong, however far a thin veil of it
-    reaches; 0 when there is none."""
+    """Return the strength to draw strongest: 70 % of all scent lies in cells of at least this strength, whatever the extent of
+    faint scent; 0 without scent."""
     held = np.sort(np.asarray(strength, np.float64)[np.asarray(strength) > 0])
     return float(held[np.searchsorted(np.cumsum(held), 0.3 * held.sum())]) if len(held) else 0.0
 
@@ -134,14 +134,16 @@ def cover(trail: Trail) -> Floats:
 
 
 def cover_of(strength: Array, full: float) -> Floats:
-    """Shares (n,) of the ground that strengths (n,) cover. Scent spans many powers of ten, of which the faint ones lead the
-    way too: the 0.4th power shows a thousandth of the strongest as a sixteenth."""
+    """Return the shares (n,) of the ground that strengths (n,) cover.
+
+    Scent spans many powers of ten, and agents follow faint scent too. The exponent 0.4 shows a thousandth of the strongest as a
+    sixteenth."""
     share = np.clip(np.asarray(strength, np.float64) / max(full, 1e-30), 0.0, 1.0) ** 0.4
     return np.asarray(share, np.float32)
 
 
 def dyed(albedo: Floats, share: Floats, trail: Trail) -> Floats:
-    """Linear ground colours (n, 3) with the trail on them. Its strongest covers two thirds of the ground's own colour, and is as
-    light or dark as the grains below it."""
+    """Return linear ground colours (n, 3) with the trail on them. Its strongest part covers two thirds of the ground's colour,
+    and follows the brightness of the grains below it."""
     light = np.clip((albedo @ _LUMINANCE) / np.float32(SOIL @ _LUMINANCE), *_GRAINS)
     return np.asarray(albedo + (decoded(trail.colour) * light[:, None] - albedo) * (_MOST_COVERED * share)[:, None], np.float32)

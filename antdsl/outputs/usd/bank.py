@@ -1,8 +1,8 @@
-"""A bank of poses: for each species the prototypes that its agents are instances of, made when an agent is first in one.
+"""A bank of poses: for each species, the prototypes of its agents' instances, created at first use.
 
-A pose is the topmost clip that an agent plays on its whole body, and each clip on a part of it, at the nearest of some moments;
-a clip counts that has most of its machine's weight. Who goes on its feet and plays no clip that goes has one that does, by its
-speed, at the phase of its gait. A prototype is such a pose in the colour of a state."""
+A pose is the topmost clip on the agent's complete body plus the clip on each part, each at the nearest of some moments. A clip
+counts if it has most of its machine's weight. An agent that walks on its feet but plays no walking clip gets one, by its speed,
+at the phase of its gait. A prototype is a pose in a state's colour."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ class Bank:
         self._states = [identifier(state.name) for state in states]
 
     def numbers(self, agents: Agents) -> NDArray[np.int32]:
-        """The prototype of each agent, int32[n]: a place in `paths`."""
+        """Return the prototype of each agent, int32[n]: an index of `paths`."""
         found = np.zeros(len(agents.ids), np.int32)
         for rows, keys, which in self._keys(agents):
             found[rows] = np.array([self._prototype(*key) for key in keys], np.int32)[which]
@@ -62,8 +62,8 @@ class Bank:
         return found
 
     def _keys(self, agents: Agents) -> Iterator[tuple[NDArray[np.intp], list[tuple[int, ...]], NDArray[np.intp]]]:
-        """For those who wear a body: their rows, the keys that there are (body, state, what each machine plays), and which of
-        them each has."""
+        """Yield for each worn body the rows of its agents, the distinct keys (body, state, clip of each machine), and each
+        agent's key index."""
         state = np.full(len(agents.ids), -1) if agents.state is None else agents.state
         for crowd, rows in agents.parts:
             if crowd.worn is None:
@@ -105,7 +105,7 @@ class Bank:
 
 
 def coloured(stage: Any, path: str, pose: str) -> Any:
-    """A mesh that is a pose, loaded where it is drawn; its primvar displayColor, which materials of states take."""
+    """Return a mesh that shows a pose and is loaded where it is drawn. Materials of states use its primvar displayColor."""
     prim = stage.DefinePrim(path, "Mesh")
     prim.GetPayloads().AddInternalPayload(pose)
     return pxr("UsdGeom").PrimvarsAPI(prim).CreatePrimvar("displayColor", pxr("Sdf").ValueTypeNames.Color3fArray, "constant")
@@ -122,7 +122,7 @@ class _Drawn:
         self._looks = Looks(stage, f"{LOOKS}/{name}", worn.definition.materials)
 
     def write(self, number: int, played: list[int]) -> tuple[str, float]:
-        """The mesh of a pose, and how far it reaches, in body lengths."""
+        """Write the mesh of a pose. Return its path and its reach in body lengths."""
         machines = [alone(np.array([p // (SAMPLES + 1) - 1]), np.array([p % (SAMPLES + 1) / SAMPLES])) for p in played]
         poses: Poses = self._drawn.body.poses(machines, 1)
         points, normals = (each[0] for each in self._drawn.body.shaped(poses))
@@ -133,17 +133,19 @@ class _Drawn:
 
 
 def bank_clips(worn: PosedBody) -> list[Played]:
-    """What poses of a bank may be of: the clips that the species plays, the one of those who play none, and those to go on."""
+    """Return the clips for poses of a bank: those that the species plays, the idle clip, and the walking clips."""
     clips = worn.definition.clips
     strides = [Played(name) for name, clip in clips.items() if clip.loop and clip.stride > 0 and clip.duration > 0]
     return [*(Played(*each) for each in worn.clips), Played(worn.definition.idle), *strides]
 
 
 def played(worn: PosedBody, crowd: Crowd, speed: NDArray[np.float64] | None) -> list[NDArray[np.int64]]:
-    """What the bodies of a crowd play, int64[n] each: first the topmost clip on the whole body, then for each machine the clip on
-    a transform group. 0 is nothing, else (clip + 1) · (SAMPLES + 1) + the nearest of so many moments; clips are those of
-    `bank_clips`. Who goes and plays nothing that goes has the clip whose speed is nearest to its `speed` [n] (body lengths a
-    second), at the phase of its feet."""
+    """Return what the bodies of a crowd play, int64[n] each: first the topmost clip on the whole body, then for each machine the
+    clip on a transform group.
+
+    0 is nothing, else (clip + 1) · (SAMPLES + 1) + the nearest of SAMPLES moments; clips are those of `bank_clips`. An agent that
+    moves, but plays no moving clip, gets the clip with a speed nearest to its `speed` [n] (body lengths a second). Its phase is
+    that of the feet."""
     clips = [worn.definition.clips.get(each.clip) for each in bank_clips(worn)]
     loops = np.array([clip is not None and clip.loop for clip in clips] + [False])
     groups = np.array([bool(each.on) for each in bank_clips(worn)] + [False])
@@ -169,7 +171,7 @@ def played(worn: PosedBody, crowd: Crowd, speed: NDArray[np.float64] | None) -> 
 
 
 def _code(clip: NDArray[np.int64], turns: NDArray[np.float64], loops: Array, steps: Array) -> NDArray[np.int64]:
-    """A clip and the nearest of its moments as one number."""
+    """Return one number for a clip and the nearest of its moments."""
     part = np.where(loops[clip], turns - np.floor(turns), np.clip(turns, 0.0, 1.0))
     step = np.rint(part * steps[clip]).astype(np.int64)
     step = np.where(loops[clip], step % steps[clip], step) * (SAMPLES // steps[clip])
@@ -180,7 +182,7 @@ def _code(clip: NDArray[np.int64], turns: NDArray[np.float64], loops: Array, ste
 def _going(
     worn: PosedBody, clips: list[Clip | None], whole: NDArray[np.int64], phase: NDArray[np.float64], speed: NDArray[np.float64]
 ) -> NDArray[np.int64]:
-    """What bodies play, with a clip to go on for those who go and play none that does."""
+    """Return the clips of bodies, with a walking clip for bodies that move and play none."""
     first = len(worn.clips) + 1
     speeds = np.array([clip.stride / clip.duration / worn.definition.length for clip in clips[first:] if clip is not None])
     clip = whole // (SAMPLES + 1) - 1
@@ -193,7 +195,7 @@ def _going(
 
 
 def _kinds(table: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.intp]]:
-    """The rows of a table that differ, and which of them each row is."""
+    """Return the distinct rows of a table, and the index of each row among them."""
     packed = np.zeros(len(table), np.int64)
     for column in table.T:
         low = int(column.min(initial=0))

@@ -1,8 +1,8 @@
 """An agent definition as UsdSkel: a skeleton and the shapes of a layer, bound to it, with their materials.
 
-A static shape is one whose points all follow its joint. UsdSkel has one bind pose a skeleton: shapes that were captured in
-another one than those before them have a skeleton of their own, of the same joints. It blends shapes first and skins then,
-linearly or by dual quaternions; what a definition has beyond that is left out and told."""
+A shape is static if all its points follow its joint. UsdSkel has one bind pose a skeleton: shapes captured in a different pose
+get a separate skeleton of the same joints. UsdSkel blends shapes first and skins then, linearly or by dual quaternions; other
+features of a definition are left out and reported."""
 
 from __future__ import annotations
 
@@ -23,9 +23,11 @@ _SAME = 1e-5  # body lengths by which bind poses may differ and be one
 
 @dataclass(slots=True)
 class SkelDefinition:
-    """What was written of a body: `path` of the prim that agents are instances of, `joints` by their paths in the rig's order,
-    names of `channels` that blend, `tinted`: meshes below it that have the colour of the agent, `notes`: what UsdSkel does
-    not hold, and its `number` among the bodies of its species, from 1."""
+    """A written body: `path` of the prim that agents are instances of, `joints` by their paths in the rig's order, names of
+    `channels` that blend.
+
+    `tinted`: meshes below it in the colour of the agent. `notes`: what UsdSkel cannot represent. `number`: its index among the
+    bodies of its species, from 1."""
 
     path: str
     joints: tuple[str, ...]
@@ -69,7 +71,7 @@ def write_definition(stage: Any, path: str, body: PosedBody, looks: Looks, close
 
 
 def _choices(prim: Any, names: list[str], chosen: str) -> None:
-    """Variants in each of which the others are not there."""
+    """Add variants, each of which hides the others."""
     found = prim.GetVariantSets().AddVariantSet("detail")
     for name in names:
         found.AddVariant(name)
@@ -82,7 +84,7 @@ def _choices(prim: Any, names: list[str], chosen: str) -> None:
 
 
 def joint_paths(definition: Definition) -> tuple[str, ...]:
-    """The joints of a rig as paths from its roots, with names that USD allows; two that sound alike get numbers."""
+    """Return the joints of a rig as paths from its roots, with names valid in USD; equal names get numbers."""
     found: list[str] = []
     taken: set[str] = set()
     for name, parent in zip(definition.rig.names, definition.rig.parents.tolist(), strict=True):
@@ -108,7 +110,7 @@ class _Skeletons:
         self._rest, self._made = rest_world(definition), list[tuple[str, Array, Array, Any]]()
 
     def holding(self, shape: Shape) -> str:
-        """The path of a skeleton whose bind pose is that of a shape: made, or filled in, where there is none yet."""
+        """Return the path of a skeleton with the bind pose of a shape; make it, or fill it in, if there is none yet."""
         capture = shape.capture
         numbers = [self._definition.rig.joint(name) for name in capture.names] if capture else []
         wanted = np.linalg.inv(capture.inverse) if capture else np.zeros((0, 4, 4))
@@ -130,7 +132,7 @@ class _Skeletons:
         return path
 
     def bind_of(self, path: str, joint: int) -> Array:
-        """The bind pose of a joint, which stays as it is from then on."""
+        """Return the bind pose of a joint, which is fixed from then on."""
         _, bind, known, _ = next(each for each in self._made if each[0] == path)
         known[joint] = True
         found: Array = bind[joint]
@@ -165,7 +167,7 @@ def _write_shape(
 
 
 def _tell(made: SkelDefinition, binding: Binding, shape: Shape, steps: list[str]) -> None:
-    """What UsdSkel does otherwise for a binding, told once."""
+    """Note, once for a binding, what UsdSkel does differently."""
     if "dualquatblendskinning" in steps:
         made.notes.append(f"`{shape.name}` blends linear and dual quaternion skinning: UsdSkel has one of them, dual quaternions")
     known = {"blendshape", "linearskinning", "dualquatskinning", "dualquatblendskinning"}
@@ -187,7 +189,7 @@ def _write_capture(api: Any, definition: Definition, shape: Shape) -> None:
 
 
 def _write_blends(stage: Any, path: str, api: Any, definition: Definition, shape: Shape) -> None:
-    """The inputs of a blend shape, each a BlendShape that the channel of its name weighs."""
+    """Write the inputs of a blend shape, each as a BlendShape that is weighted by the channel of its name."""
     blend, skel = shape.blend, pxr("UsdSkel")
     assert blend is not None
     targets: list[Any] = []
@@ -214,7 +216,7 @@ def _write_blends(stage: Any, path: str, api: Any, definition: Definition, shape
 
 
 def _offsets(base: Shape, target: Shape, name: str, rows: Array, other: Array, blended: tuple[str, ...]) -> Array:
-    """What all points of the base have to be moved by to be those of another shape, float32[P, 3]."""
+    """Return the offsets float32[P, 3] from the points of the base to those of another shape."""
     found = np.zeros((len(base.points), 3), np.float32)
     if name in blended and values_of(base, name) is not None and values_of(target, name) is not None:
         found[rows] = difference(base, target, name, rows, other).T

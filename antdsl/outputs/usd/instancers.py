@@ -1,7 +1,7 @@
 """A crowd as a point instancer: poses of its bodies as prototypes, agents as instances.
 
-All arrays have a sample at the times of the positions wherever they change, and velocities and angular velocities always: readers
-take these only at the times of positions and orientations. Signs of quaternions follow those of the sample before."""
+An array that changes has a sample at each time of the positions; velocities and angular velocities always have one. Readers use
+these only at the times of positions and orientations. The signs of quaternions follow the previous sample."""
 
 from __future__ import annotations
 
@@ -72,7 +72,8 @@ class InstancerWriter:
             self._targets = len(self._bank.paths)
 
     def _prototypes(self, agents: Agents, shown: Agents) -> NDArray[np.int32]:
-        """The prototype of each agent: one as long as the shutter of a frame is open, since blur needs the same mesh."""
+        """Return the prototype of each agent, constant while the shutter of a frame is open, since motion blur needs the same
+        mesh."""
         found = self._bank.numbers(agents)
         if agents.ids is not shown.ids:
             at, there = matched(agents.ids, shown.ids)
@@ -80,7 +81,7 @@ class InstancerWriter:
         return found
 
     def _signed(self, agents: Agents) -> NDArray[np.float64]:
-        """Orientations on the side of those of the sample before."""
+        """Return orientations with the signs of the previous sample."""
         turn = agents.orient.copy()
         at, there = matched(agents.ids, self._signs[0])
         if there.any():
@@ -105,7 +106,7 @@ class InstancerWriter:
         self._samples[name].set(time, values)
 
     def _primvar(self, time: float, name: str, values: Any) -> None:
-        """A value of each agent; states are numbers of their names."""
+        """Write a value of each agent; states are indices of their names."""
         if name not in self._samples:
             types, vt = pxr("Sdf").ValueTypeNames, pxr("Vt")
             whole = np.asarray(values).dtype.kind in "iu"

@@ -23,7 +23,7 @@ _GREY = (0.35, 0.35, 0.35)  # where nothing says a colour
 
 
 class Looks:
-    """Materials below one prim, each made when it is first bound."""
+    """Materials below one prim, each created at its first use."""
 
     def __init__(self, stage: Any, path: str, colours: Mapping[str, tuple[float, float, float]]) -> None:
         self._stage, self._path, self._colours = stage, path, colours
@@ -32,7 +32,8 @@ class Looks:
         self._made: dict[str, Any] = {}
 
     def bind(self, prim: Any, name: str) -> bool:
-        """Bind a material by its name; one that has no colour, as `state`, takes the primvar displayColor, which is told."""
+        """Bind a material by its name. One without a colour, such as `state`, takes the primvar displayColor; returns True
+        then."""
         own = name in self._colours and name != STATE
         known = name if own else STATE
         if known not in self._made:
@@ -42,8 +43,8 @@ class Looks:
         return not own
 
     def bind_faces(self, mesh: Any, names: tuple[str, ...], material: Array) -> bool:
-        """Bind materials to the faces of a mesh: `material` int[m] counts `names`; of one alone to all of it. Gives whether some
-        take the primvar displayColor."""
+        """Bind materials to the faces of a mesh: `material` int[m] are indices of `names`; a single one is bound to the complete
+        mesh. Return whether some use the primvar displayColor."""
         used = np.unique(material).tolist() if len(material) else [0]
         if len(used) == 1:
             return self.bind(mesh.GetPrim(), names[used[0]])
@@ -57,7 +58,7 @@ class Looks:
 
 
 def _surface(stage: Any, path: str, colour: tuple[float, float, float] | None) -> Any:
-    """A material of one colour (linear), or of that of the primvar displayColor."""
+    """Return a material of one colour (linear), or of the colour in the primvar displayColor."""
     shade, types, gf = pxr("UsdShade"), pxr("Sdf").ValueTypeNames, pxr("Gf")
     made = shade.Material.Define(stage, path)
     surface = shade.Shader.Define(stage, f"{path}/surface")
@@ -77,8 +78,8 @@ def _surface(stage: Any, path: str, colour: tuple[float, float, float] | None) -
 
 
 class DrawnBody:
-    """`faces` int32[m, 3]; `material` int64[m] counts `names` of materials; `uvs` float32[v, 2], or None where no shape has
-    some."""
+    """A mesh with materials: `faces` int32[m, 3]; `material` int64[m] are indices of `names`; `uvs` float32[v, 2], or None where
+    no shape has texture coordinates."""
 
     def __init__(self, body: PosedBody) -> None:
         self.body = body
@@ -96,7 +97,7 @@ class DrawnBody:
         self.uvs = np.concatenate(mapped) if any(shape.uvs is not None for shape in shapes) else None
 
     def extent(self) -> NDArray[np.float64]:
-        """The box (2, 3) that the body stays in as it plays each of its clips, with some room, in body lengths."""
+        """Return a box (2, 3) that contains the body in all its clips, with some margin, in body lengths."""
         low, high = np.full(3, np.inf), np.full(3, -np.inf)
         for machines in self._playing():
             points = self.body.shaped(self.body.poses(machines, len(machines[0].clip) if machines else 1))[0].reshape(-1, 3)
@@ -114,7 +115,7 @@ class DrawnBody:
 
 
 def alone(clip: NDArray[np.integer], turns: NDArray[np.floating]) -> MachineClips:
-    """Agents that play a clip each, -1 for none, whole and unmixed."""
+    """Return agents that play one clip each (-1 for none), with full weight and no fade."""
     chosen = np.asarray(clip, np.int16)
     none, one = np.zeros(len(clip), np.float32), np.ones(len(clip), np.float32)
     return MachineClips(chosen, np.asarray(turns, np.float32), one, np.full(len(clip), -1, np.int16), none, none, none)

@@ -1,8 +1,8 @@
-"""Agents of a species at any time of a cache: in a frame, and between two frames, each by its id.
+"""Agents of a species at any time of a cache: in a frame or between two frames, each by its id.
 
-Between two frames places and scales go evenly and orientations turn at a constant rate by the shorter way, so that velocities and
-angular velocities, which lead from a frame to the next, say the same. Who is not in the next frame goes on at its own
-velocity."""
+Between two frames, positions and scales are interpolated linearly, and orientations rotate at a constant rate by the shorter
+direction. This matches the velocities and angular velocities, which lead from a frame to the next. An agent missing from the next
+frame continues at its own velocity."""
 
 from __future__ import annotations
 
@@ -25,10 +25,11 @@ _KEPT = 3  # frames in memory: the one before, this and the next
 @dataclass(frozen=True, slots=True, eq=False)
 class Agents:
     """Agents of a species, by ascending id: `ids` int64[n], `position` [n, 3], `orient` [n, 4] (x y z w, unit), `scale` [n],
-    `colour` float64[n, 3] (display), `velocity` [n, 3] in units a second and `turning` [n, 3] in degrees a second about axes of
-    the world, `state` int64[n] or None, `own_velocity` [n, 3]: on its ground,
-    as the cache has it; `numbers`: further values by name. `parts`: crowds of one worn body each, and the rows
-    that they have here. `seen` bool[n]: who has a place that can be drawn."""
+    `colour` float64[n, 3] (display).
+
+    `velocity` [n, 3] is in units per second, `turning` [n, 3] in degrees per second about world axes. `own_velocity` [n, 3] is
+    relative to the ground, as in the cache. `state` is int64[n] or None; `numbers`: further values by name. `parts`: crowds with
+    one worn body each, and their rows here. `seen` bool[n]: agents with a position that can be drawn."""
 
     ids: NDArray[np.int64]
     position: Floats
@@ -46,9 +47,9 @@ class Agents:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Moment:
-    """A time in frames: the `picture` of the frame at or before it, the agents of each species there, those of the frame after
-    it where that is in the cache, else of the one before, and how far it lies from the one to the other; `dt`: seconds between
-    frames; `shown`: the agents of the frame whose shutter is open."""
+    """A time in frames: the `picture` of the frame at or before it, and the agents of each species there. `after`: those of the
+    next frame if it is in the cache, else `before`. `share`: the position of the time between the two frames. `dt`: seconds
+    between frames. `shown`: the agents of the frame with the open shutter."""
 
     time: float
     share: float
@@ -60,14 +61,14 @@ class Moment:
     shown: tuple[Agents, ...]
 
     def agents(self, number: int) -> Agents:
-        """The agents of a species as they are at the time."""
+        """Return the agents of a species at this time."""
         here = self.species[number]
         return here if not self.share else _moved(here, self.after[number] if self.after else None, self.share, self.dt)
 
 
 @dataclass(slots=True)
 class Moments:
-    """Moments of a cache, asked for in order."""
+    """Moments of a cache, requested in order."""
 
     gallery: Gallery
     _known: set[int] = field(default_factory=set)
@@ -164,7 +165,7 @@ def _part(crowd: Crowd, ids: NDArray[np.int64]) -> tuple[Crowd, NDArray[np.intp]
 
 
 def _leading(here: Agents, after: Agents | None, before: Agents | None, dt: float) -> Agents:
-    """Agents with velocities that lead to the frame after; of the last frame those that led to it."""
+    """Return agents with velocities that lead to the next frame; for the last frame, those that led to it."""
     other = after or before
     if other is None or not len(here.ids):
         return here
@@ -182,7 +183,8 @@ def _leading(here: Agents, after: Agents | None, before: Agents | None, dt: floa
 
 
 def rotation_vector(first: Floats, second: Floats) -> Floats:
-    """By how much orientations (n, 4: x y z w, unit) turn to others by the shorter way: world axes times radians (n, 3)."""
+    """Return the rotations between orientations (n, 4: x y z w, unit) by the shorter direction, as world axes times radians (n,
+    3)."""
     a, b = first, second * np.where((first * second).sum(axis=1) < 0, -1.0, 1.0)[:, None]
     real = (a * b).sum(axis=1)
     axis = a[:, 3:] * b[:, :3] - b[:, 3:] * a[:, :3] - np.cross(b[:, :3], a[:, :3])
@@ -194,7 +196,7 @@ def rotation_vector(first: Floats, second: Floats) -> Floats:
 
 
 def turned_by(orient: Floats, turn: Floats) -> Floats:
-    """Orientations (n, 4) after turns about axes of the world times radians (n, 3)."""
+    """Return orientations (n, 4) rotated about world axes; `turn` is axes times radians (n, 3)."""
     angle = np.linalg.norm(turn, axis=1)
     by = np.where(angle > 1e-12, np.sin(angle / 2) / np.maximum(angle, 1e-12), 0.5)
     v, w = turn * by[:, None], np.cos(angle / 2)[:, None]
@@ -205,7 +207,7 @@ def turned_by(orient: Floats, turn: Floats) -> Floats:
 
 
 def _moved(here: Agents, after: Agents | None, share: float, dt: float) -> Agents:
-    """Agents as they are at a share of the way to the next frame."""
+    """Return agents at a fraction `share` of the time to the next frame."""
     scale = here.scale
     if after is not None:
         at, there = matched(here.ids, after.ids)

@@ -1,4 +1,4 @@
-"""A crowd as UsdSkel: each agent an instance of its body's definition, with a SkelAnimation of its own."""
+"""A crowd as UsdSkel: each agent an instance of its body's definition, with a separate SkelAnimation."""
 
 from __future__ import annotations
 
@@ -19,12 +19,14 @@ from antdsl.outputs.usd.moments import Agents, Moment
 from antdsl.outputs.usd.values import BODIES, LOOKS, ROOT, Out, Samples, Visibility, identifier, name_states
 from antdsl.scene.geometry.usd import pxr
 
-_SHEARED = 1e-4  # of a joint, above which what UsdSkel leaves out is told
+_SHEARED = 1e-4  # of a joint, above which what UsdSkel omits is reported
 
 
 class SkeletonWriter:
-    """One species: an instance for each agent, its animation beside it. With `copies` agents are no instances, and their meshes
-    have the colours of states themselves, for programs that pose no instances and inherit no primvars."""
+    """Writer of one species: an instance for each agent, with its animation beside it.
+
+    With `copies`, agents are full copies, and their meshes have the state colours themselves. This is for programs that do not
+    pose instances or inherit primvars."""
 
     def __init__(self, out: Out, species: SpeciesEntry, number: int, copies: bool = False, close: bool = False) -> None:
         self._out, self._species, self._number, stage = out, species, number, out.stage
@@ -47,7 +49,7 @@ class SkeletonWriter:
         return told
 
     def sample(self, moment: Moment) -> None:
-        """The agents at a time. Who is not there is hidden."""
+        """Write the agents at a time. Missing agents are hidden."""
         agents = moment.agents(self._number)
         self._first = moment.time if self._first is None else self._first
         there = set[tuple[int, int]]()
@@ -73,7 +75,7 @@ class SkeletonWriter:
         self._there = there
 
     def _agent(self, name: int, body: SkelDefinition, time: float) -> _Agent:
-        """The instance of a body that an agent is; one that wears other layers later has another for those."""
+        """Return the instance of a body for an agent. An agent that changes its layers later gets another instance."""
         if (name, body.number) not in self._agents:
             assert self._first is not None
             path = f"agent_{name}" if name not in self._named else f"agent_{name}_{body.number}"
@@ -109,7 +111,8 @@ class _Joints:
         self.channels = np.asarray(poses.channels, np.float32)
 
     def mix(self, rows: NDArray[np.bool_], other: _Joints, at: NDArray[np.intp], share: float) -> None:
-        """Go a share of the way to the joints that others have at some rows, or away: evenly, rotations by the shorter way."""
+        """Interpolate the joints at some rows towards others by `share`, or extrapolate: linearly, rotations by the shorter
+        direction."""
         for k, (mine, theirs) in enumerate(zip(self.values, other.values, strict=True)):
             towards = theirs[at[rows]]
             if k == 1:
@@ -121,7 +124,7 @@ class _Joints:
 
 
 def _joints(moment: Moment, number: int, part: int, body: PosedBody) -> _Joints:
-    """The joints of those who wear a body, at a time; beyond the last frame they go on as they came to it."""
+    """Return the joints of the agents with a body, at a time. Beyond the last frame, the last motion continues."""
     agents = moment.species[number]
     crowd, rows = agents.parts[part]
     found = _Joints(crowd.poses(local=True))
@@ -136,7 +139,7 @@ def _joints(moment: Moment, number: int, part: int, body: PosedBody) -> _Joints:
 
 
 class _Agent:
-    """An agent: an instance that is placed, and its animation."""
+    """An agent: a placed instance, and its animation."""
 
     def __init__(
         self,

@@ -37,9 +37,10 @@ _SAME = 1e-6  # frames
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class XformOptions:
-    """`shutter`: from when to when around each frame, in frames, agents have samples, `samples` of them; None for at frames
-    alone. `chunk`: so many frames share a file of values (0: all are in the stage's own). `close`: bodies are those for
-    close-ups."""
+    """Options. `shutter`: the interval around each frame, in frames, over which agents have samples, `samples` of them; None for
+    samples at frames only.
+
+    `chunk`: the number of frames per file of values (0: all in the stage itself). `close`: use the bodies for close-ups."""
 
     shutter: tuple[float, float] | None = None
     samples: int = 3
@@ -49,8 +50,8 @@ class XformOptions:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class UsdOptions(XformOptions):
-    """`skeletons`: up to how many agents of a species each has a skeleton of its own; more are instances of a bank of poses.
-    `copies`: agents with skeletons are no instances."""
+    """`skeletons`: the largest number of agents of a species for which each has its own skeleton; more are instances of a bank of
+    poses. `copies`: agents with skeletons are no instances."""
 
     skeletons: int = SKELETONS
     copies: bool = False
@@ -61,10 +62,10 @@ Writer = InstancerWriter | SkeletonWriter | XformWriter
 
 
 def export_instances(gallery: Gallery, frames: Iterable[int], path: Path, options: UsdOptions = _USUAL) -> list[str]:
-    """Write these frames into a USD file: a species of few agents as skeletons, of many as a point instancer. It is in its place
-    whole or not at all. What USD cannot hold is told.
+    """Write these frames into a USD file: a species of few agents as skeletons, of many as a point instancer. The write is
+    atomic. Returns messages about what USD cannot hold.
 
-    UsdError without usd-core, CacheError for a frame that is damaged, OSError where nothing can be written."""
+    Raises UsdError without usd-core, CacheError for a damaged frame, OSError if writing fails."""
     frames = list(frames)
     most = _most(gallery, frames)
 
@@ -77,12 +78,12 @@ def export_instances(gallery: Gallery, frames: Iterable[int], path: Path, option
 
 
 def export_xforms(gallery: Gallery, frames: Iterable[int], path: Path, options: XformOptions = _USUAL) -> list[str]:
-    """The same with one Xform an agent, as programs read them that animate objects one by one."""
+    """Write the stage with one Xform per agent, for programs that animate objects one by one."""
     return _export(gallery, list(frames), path, options, lambda number: partial(XformWriter, close=options.close))
 
 
 def _most(gallery: Gallery, frames: list[int]) -> list[int]:
-    """The most agents that each species has in a frame."""
+    """Return the maximum number of agents of each species in any frame."""
     count = len(gallery.manifest.species)
     most = np.zeros(count, np.int64)
     for frame in frames:
@@ -94,7 +95,7 @@ def _most(gallery: Gallery, frames: list[int]) -> list[int]:
 
 
 def times(frame: int, options: XformOptions) -> list[float]:
-    """When agents have samples for a frame: at the frame, and over the shutter."""
+    """Return the sample times of agents for a frame: at the frame, and over the shutter interval."""
     around = np.linspace(*options.shutter, options.samples) if options.shutter else np.zeros(1)
     found: list[float] = sorted({round(frame + part, 6) for part in (0.0, *around.tolist())})
     return found
@@ -182,7 +183,7 @@ class ValueFiles:
             out.manifest = pxr("Sdf").Layer.CreateAnonymous("manifest.usda")
 
     def begins(self, frame: int) -> bool:
-        """Whether values from a frame on belong in another file than those before."""
+        """Return whether values from a frame on go into a new file."""
         return frame in self._starts[1:]
 
     def begin(self, frame: int) -> None:
@@ -204,8 +205,8 @@ class ValueFiles:
         return self
 
     def __exit__(self, kind: type[BaseException] | None, problem: BaseException | None, trace: TracebackType | None) -> None:
-        """Put all files in their places, or, where anything failed, none of them. The stage of an earlier export goes first: it
-        would show these values as its own, should its successor not come."""
+        """Move all files to their final paths, or none where anything failed. The stage of an earlier export is removed first,
+        since it would otherwise use these values if the new stage is never written."""
         self._layer = self._out.clip = None
         if self._starts and kind is None:
             self._path.unlink(missing_ok=True)

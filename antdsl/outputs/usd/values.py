@@ -27,7 +27,7 @@ Array = NDArray[Any]
 
 
 def root(stage: Any, origin: NDArray[np.float64]) -> Any:
-    """The prim that all of a stage is below, moved in double precision by what its places are relative to (scene units)."""
+    """Return the root prim of a stage, moved in double precision by the origin of its positions (scene units)."""
     world = pxr("UsdGeom").Xform.Define(stage, ROOT)
     if origin.any():
         world.AddTranslateOp(pxr("UsdGeom").XformOp.PrecisionDouble, "origin").Set(pxr("Gf").Vec3d(*origin.tolist()))
@@ -35,8 +35,10 @@ def root(stage: Any, origin: NDArray[np.float64]) -> Any:
 
 
 class Samples:
-    """Values of one attribute over time. One that stays is written where it begins and where it ends, since USD goes evenly from
-    sample to sample; with `always` it is written at every time, for readers that take it only at the times of others."""
+    """Values of one attribute over time. A constant value is written at its start and end, since USD interpolates linearly
+    between samples.
+
+    With `always`, it is written at every time, for readers that use it only at the times of other attributes."""
 
     def __init__(self, out: Out, attribute: Any, convert: Callable[[Array], Any], kind: Any, always: bool) -> None:
         self._out, self._convert, self._kind, self._always = out, convert, kind, always
@@ -47,7 +49,7 @@ class Samples:
         self._file = -1
 
     def set(self, time: float, values: Any) -> None:
-        """The value from a time on, which comes after all that were set."""
+        """Set the value from a time on. Times must ascend."""
         value = np.ascontiguousarray(values, self._kind)
         new = self._file != self._out.number
         if new or self._always or self._value is None or not np.array_equal(self._value, value):
@@ -75,8 +77,8 @@ class Samples:
 
 
 class Out:
-    """The stage that is written, and where values over time go: into it, or into layers of their own (`clip`), one after the
-    other, of which `manifest` names all attributes."""
+    """The written stage and the target of values over time: the stage itself, or separate layers (`clip`), one after the other.
+    `manifest` names all attributes of these layers."""
 
     def __init__(self, stage: Any) -> None:
         self.stage: Any = stage
@@ -87,7 +89,7 @@ class Out:
         self._named: dict[tuple[str, str], str] = {}
 
     def name(self, kind: str, name: str) -> str:
-        """What a thing of a kind is called below the root: its name, or with a number where something else has that."""
+        """Return a thing's name below the root: its own, or with a number where that is taken."""
         if (kind, name) not in self._named:
             self._named[kind, name] = free(identifier(name), self._taken)
         return self._named[kind, name]
@@ -95,16 +97,16 @@ class Out:
     def samples(
         self, attribute: Any, convert: Callable[[Array], Any], kind: Any = np.float64, *, always: bool = False
     ) -> Samples:
-        """An attribute's values over time, as arrays of a kind that `convert` makes USD's."""
+        """Return the samples of an attribute, as arrays of a type that `convert` converts to USD's."""
         return Samples(self, attribute, convert, kind, always)
 
     def begin(self, clip: Any) -> None:
-        """Write values into another layer from now on, each anew."""
+        """Write values into another layer from now on, each of them again."""
         self.clip, self.number = clip, self.number + 1
 
 
 class Visibility:
-    """Whether a prim is there, over time; of one that comes later than the first time, not before."""
+    """Visibility of a prim over time. A prim that appears after the first time is hidden before."""
 
     def __init__(self, out: Out, prim: Any, first: float, time: float) -> None:
         self._samples = out.samples(prim.CreateVisibilityAttr(), lambda v: "inherited" if v[0] else "invisible", np.bool_)
@@ -127,23 +129,23 @@ def integers(values: Array) -> Any:
 
 
 def matrix(columns: Array) -> Any:
-    """A matrix (4, 4) for column vectors as USD's, which is for rows."""
+    """Convert a matrix (4, 4) for column vectors to USD's form for row vectors."""
     return pxr("Gf").Matrix4d(*np.asarray(columns, np.float64).T.ravel().tolist())
 
 
 def matrices(columns: Array) -> Any:
-    """Matrices (n, 4, 4) for column vectors as USD's array of such for rows."""
+    """Convert matrices (n, 4, 4) for column vectors to USD's array of matrices for row vectors."""
     turned = np.ascontiguousarray(np.asarray(columns, np.float64).transpose(0, 2, 1))
     return pxr("Vt").Matrix4dArray.FromNumpy(turned)
 
 
 def box(points: Array) -> Array:
-    """The lowest and the highest corner (2, 3) of what holds all points."""
+    """Return the lowest and the highest corner (2, 3) of the box around all points."""
     return np.stack([points.min(axis=0), points.max(axis=0)]) if len(points) else np.zeros((2, 3))
 
 
 def mesh(stage: Any, path: str, points: Array, faces: Array, normals: Array | None = None, uvs: Array | None = None) -> Any:
-    """A mesh of triangles that stays as it is: `normals` (n, 3) and `uvs` (n, 2) of its points, where it has some."""
+    """Return a static mesh of triangles, with `normals` (n, 3) and `uvs` (n, 2) per point if given."""
     made = pxr("UsdGeom").Mesh.Define(stage, path)
     made.CreatePointsAttr(vectors(points))
     made.CreateFaceVertexCountsAttr(integers(np.full(len(faces), 3)))
@@ -161,14 +163,14 @@ def mesh(stage: Any, path: str, points: Array, faces: Array, normals: Array | No
 
 
 def name_states(prim: Any, species: SpeciesEntry) -> None:
-    """What the numbers of states mean, into a prim's custom data."""
+    """Write the names of the state numbers into a prim's custom data."""
     for machine in species.machines:
         name = "states" if machine is species.machines[0] else f"{machine.name}.states"
         prim.SetCustomDataByKey(identifier(name), pxr("Vt").StringArray([state.name for state in machine.states]))
 
 
 def free(name: str, taken: set[str]) -> str:
-    """The name, or with a number where it is taken; it is from then on."""
+    """Return the name, with a number if it is taken, and mark it as taken."""
     found, number = name, 1
     while found in taken:
         number += 1
@@ -185,8 +187,8 @@ def identifier(name: str) -> str:
 
 @contextmanager
 def disk_failures(path: Path) -> Iterator[None]:
-    """Raise an OSError that names `path` where a disk fails while USD writes. USD has the system's words in its own errors only;
-    any other error of it passes."""
+    """Raise an OSError that names `path` where a disk fails while USD writes. USD has the system's message only in its own
+    errors; all other errors pass unchanged."""
     try:
         yield
     except pxr("Tf").ErrorException as problem:

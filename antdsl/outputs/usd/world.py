@@ -1,4 +1,4 @@
-"""The world of a shot in USD: meshes that stand, move or are dug, items, fields, and the camera."""
+"""The world of a shot in USD: static, moving and dug meshes, items, fields, and the camera."""
 
 from __future__ import annotations
 
@@ -58,7 +58,8 @@ class WorldWriter:
             self._camera.frame(frame)
 
     def _item(self, frame: int, number: int, item: Item) -> None:
-        """The body of an item, by its number among all, where it is; what is left of it is its size, as in pictures."""
+        """Write the body of an item, by its number among all, at its position. Its size shows the remaining amount, as in
+        pictures."""
         if item.shape == "none" or item.radius <= 0:
             return
         geom, stage = pxr("UsdGeom"), self._out.stage
@@ -117,7 +118,7 @@ class _CameraWriter:
 
 
 class _MeshWriter:
-    """A mesh of the world; what has changed since the frame before is written."""
+    """Writer of a mesh of the world; it writes what has changed since the previous frame."""
 
     def __init__(self, out: Out, path: str, up: str = "y") -> None:
         made = pxr("UsdGeom").Mesh.Define(out.stage, path)
@@ -151,7 +152,7 @@ class _MeshWriter:
 
 
 class _FieldWriter:
-    """A field as points: where it has some strength, how much, in its colour; as wide as it is strong."""
+    """A field as points in its colour, at the cells with some strength; the width of a point shows the strength."""
 
     def __init__(self, out: Out, trail: Trail) -> None:
         geom = pxr("UsdGeom")
@@ -168,7 +169,7 @@ class _FieldWriter:
         made.CreateDisplayColorPrimvar("constant").Set(vectors(decoded(np.array([trail.colour]))))
 
     def nothing(self, frame: int) -> None:
-        """The field in a frame in which there is none of it."""
+        """Write the field in a frame without any strength."""
         self._points.set(frame, np.zeros((0, 3)))
         self._widths.set(frame, np.zeros(0))
         self._strength.set(frame, np.zeros(0))
@@ -217,7 +218,7 @@ def _around(points: Array) -> Array:
 
 
 def _upright(ways: Array) -> Array:
-    """Vectors (n, 3) of a world with y up in one with z up."""
+    """Convert vectors (n, 3) from a world with y up to one with z up."""
     return np.stack([ways[:, 0], -ways[:, 2], ways[:, 1]], axis=1)
 
 

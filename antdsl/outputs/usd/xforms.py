@@ -16,7 +16,8 @@ from antdsl.scene.geometry.usd import pxr
 
 
 class XformWriter:
-    """One species: an Xform for each agent, below it the body as it is at first, shared by those who are in the same pose."""
+    """Writer of one species: an Xform for each agent. Below it is the body in its first pose, shared by agents in the same
+    pose."""
 
     notes: tuple[str, ...] = ()
 
@@ -29,7 +30,7 @@ class XformWriter:
         self._file = out.number
 
     def sample(self, moment: Moment) -> None:
-        """The agents at a time. Who is not there is hidden."""
+        """Write the agents at a time. Missing agents are hidden."""
         agents, time = moment.agents(self._number), moment.time
         self._first = time if self._first is None else self._first
         turn = self._angles.of(agents.ids, agents.orient)

@@ -1,4 +1,4 @@
-"""Statements of the language into statements of the plan, for a state's body and for action blocks."""
+"""Conversion of the language's statements to statements of the plan, for a state's body and for action blocks."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ STEER, GAZE = "~steer", "~gaze"  # temps begin with a sign that no name of an au
 
 
 def write(w: Writer, statements: Sequence[model.Statement], site: str, machine: str = "") -> None:
-    """Write statements in text order; what cannot run yet is complained about and left out. `machine`: that of the
-    state whose body they are."""
+    """Write statements in text order; those that cannot run yet are reported and left out. `machine`: that of the state with
+    these statements as its body."""
     for number, statement in enumerate(statements, 1):
         w.b.span = statement.span
         try:
@@ -57,7 +57,7 @@ def _face(w: Writer, s: model.Face, site: str) -> None:
 
 
 def face(w: Writer, register: str, way: Vec, span: Span | None) -> None:
-    """Keep a way to face in a temp, where none that was asked for before gives one."""
+    """Store a direction to face in a temp, unless an earlier request has set one."""
     for axis in AXES:
         w.declare(f"{register}.{axis}", Kind.F32, "temp")
     before = w.read_vector(register)
@@ -99,7 +99,7 @@ def _give(w: Writer, s: model.Give, site: str) -> None:
 
 
 def _ask(w: Writer, s: model.Ask, site: str) -> None:
-    """A request as its row says. Its operands are the arguments, or what is worked out of them."""
+    """Write a request as its row says. Its operands are the arguments, or are computed from them."""
     rule = OPERANDS.get(s.op)
     if rule is not None:
         operands = rule(w, *s.args)
@@ -118,7 +118,8 @@ def _operand(w: Writer, arg: model.Expr, per_second: bool) -> Node:
 
 
 def _ball(w: Writer, size_of: model.Expr | None, toward: model.Expr | None) -> Operands:
-    """A ball half a body and half its radius ahead, its underside level with the feet: who goes on stays on that level."""
+    """Return a ball that is half a body and half its radius ahead, with its underside level with the feet: an agent that moves
+    ahead stays on that level."""
     assert size_of is not None
     b = w.b
     radius = scalar(w, size_of)
@@ -133,7 +134,7 @@ def _ball(w: Writer, size_of: model.Expr | None, toward: model.Expr | None) -> O
     return radius, middle.x, middle.y, middle.z
 
 
-# What works out the operands of an effect whose row says that they are computed, out of its arguments.
+# Computes the operands of an effect from its arguments, if its row says that they are computed.
 OPERANDS: dict[str, Callable[..., Operands]] = {"carve": _ball}
 _WRITE: dict[type, Callable[[Writer, Any, str], None]] = {
     model.Steer: _steer, model.Face: _face, model.Assign: _assign, model.Give: _give, model.Ask: _ask,

@@ -1,8 +1,8 @@
-"""What states show of an agent beside clips: layers that it wears, channels of its body, where parts of it look.
+"""Appearance of agents in states, other than clips: worn layers, channels of the body, and look directions of its parts.
 
-All machines say it together in each step, and what none says is not so any more. Registers: `wear#LAYER`, a truth; `channel#NAME`
-with `channel#NAME.said`; `look#GROUP.x`, `.y` and `.z`, a unit vector by the heading, the body's up and what is right of both,
-(1, 0, 0) straight ahead. What a step says is gathered in temps of the same names after `~`."""
+All machines contribute in each step; what none requests ends. Registers: `wear#LAYER`, a boolean; `channel#NAME` with
+`channel#NAME.said`; `look#GROUP.x`, `.y` and `.z`, a unit vector along the heading, the body's up and its right, (1, 0, 0)
+straight ahead. The requests of a step are collected in temps of the same names after `~`."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def declare(w: Writer) -> None:
 
 
 def begin(w: Writer, starts: Sequence[model.State]) -> None:
-    """At birth: what the start states show. Looks begin straight ahead."""
+    """Write the appearance at birth, that of the start states. Looks begin straight ahead."""
     for state in starts:
         for line in state.body:
             if isinstance(line, (model.Wear, model.Channel)):
@@ -63,7 +63,7 @@ def begin(w: Writer, starts: Sequence[model.State]) -> None:
 
 
 def settle(w: Writer) -> None:
-    """After all machines have acted: what they say is so, and who looks has turned by a step."""
+    """Apply the requests of all machines after they have acted; looks turn by one step."""
     _shown(w)
     b = w.b
     for group in looks_of(w.species):
@@ -96,7 +96,8 @@ def _channel(w: Writer, line: model.Channel, site: str) -> None:
 
 
 def _look(w: Writer, line: model.Look, site: str) -> None:
-    """The way to a place as the agent sees it, no farther aside than it may; straight ahead where there is no such place."""
+    """Write the look direction to a position in the agent's frame, limited to the allowed angle; straight ahead where there is no
+    such position."""
     b, register = w.b, f"~look#{line.group}"
     there, offset = away(w, lower(w, line.at), line.at)
     way = values.unit(b, values.keep_if(b, there, offset))

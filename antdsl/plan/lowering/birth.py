@@ -1,4 +1,4 @@
-"""What happens to an agent at birth: its attributes in the order they need each other, `on spawn`, entering its start states."""
+"""Birth of an agent: its attributes in dependency order, `on spawn`, entry into its start states."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def declare(w: Writer) -> None:
 
 
 def given_default(w: Writer, name: str) -> Node:
-    """What a given property is where the author does not say (the card's `given`)."""
+    """Return the default of a built-in property that the author does not set (the card's `given`)."""
     b: Builder = w.b
     if name in _PLAIN:
         return b.number(_PLAIN[name])
@@ -76,7 +76,7 @@ def born(w: Writer, machines: list[MachineWriter]) -> None:
 
 
 def _unless_given(w: Writer, name: str, default: Value) -> Value:
-    """What the scene gives in place of an attribute's default, for all that is worked out after it."""
+    """Return the scene's value in place of an attribute's default, for all that is computed after it."""
     if name not in w.begun_with or not isinstance(default, Node) or default.kind not in (Kind.F32, Kind.BOOL):
         return default
     w.declare(begun_with(name), Kind.F32, "temp", inf)
@@ -86,8 +86,8 @@ def _unless_given(w: Writer, name: str, default: Value) -> Value:
 
 
 def _written(w: Writer) -> dict[str, model.AttributeDecl]:
-    """Attributes that the author wrote. A given one that stands at the species' own name comes from the card and is made here:
-    only here is it known what a step is."""
+    """Return the attributes that the author wrote. A built-in one located at the species' own name comes from the card and is
+    made here, where the step length is known."""
     mine = [a for a in w.species.attributes if not a.each and a.name != "push"]
     return {a.name: a for a in mine if not (a.given and a.span == w.species.span)}
 
@@ -110,7 +110,7 @@ def _attribute(w: Writer, name: str) -> None:
 
 
 def _order(w: Writer) -> list[str]:
-    """Names of all attributes, each after those that its default reads; the checker has refused circles."""
+    """Return the names of all attributes, each after those that its default reads. The checker has already rejected cycles."""
     declared = _written(w)
     needs: dict[str, list[str]] = {name: [] for name in (*GIVEN, *declared) if name in w.registers or name in declared}
     for name in needs:

@@ -1,4 +1,5 @@
-"""Layers into one push of at most 1: a budget spent from the top line down, a sum, or the first that is any. Decision 14."""
+"""Blending of layers into one push of at most 1: a budget spent from the top line down, a sum, or the first layer with a push.
+Decision 14."""
 
 from __future__ import annotations
 
@@ -53,8 +54,10 @@ def _layer(w: Writer, layer: model.Layer, mode: str, last: bool) -> None:
 
 
 def _face(w: Writer, layers: Sequence[model.Layer]) -> None:
-    """Which way the body turns: what the topmost line that gives a direction says, `face` lines of the states where the line
-    `state` stands. It takes no strength, so no line above leaves nothing for it."""
+    """Write the direction that the body faces: that of the topmost line that gives one. At the line `state`, `face` lines of the
+    states apply.
+
+    It takes no strength, so lines above cannot use up its share."""
     states = f"{GAZE}.x" in w.registers
     if not layers and states:
         face(w, FACE, w.read_vector(GAZE), w.species.span)
@@ -74,14 +77,14 @@ def _face(w: Writer, layers: Sequence[model.Layer]) -> None:
 
 
 def _states(w: Writer) -> Vec:
-    """What the machines' states steer, all machines together."""
+    """Return the steering of the states of all machines together."""
     if f"{STEER}.x" not in w.registers:
         return values.zero(w.b)
     return w.read_vector(STEER)
 
 
 def _spend(w: Writer, push: Vec, span: object, last: bool) -> None:
-    """Cut a push to the strength that is left, and spend that."""
+    """Limit a push to the remaining strength, and subtract it from that."""
     b = w.b
     left, size = w.read(LEFT), values.length(b, push)
     too_much = b("gt", size, left)
@@ -106,7 +109,8 @@ def _take(w: Writer, push: Vec, layer: model.Layer, last: bool) -> None:
 
 
 def ordered(w: Writer, order: Sequence[str] | None) -> tuple[model.Layer, ...]:
-    """The layers as written, or in the order that a scene asks for: each named by its text or by the word before its bracket."""
+    """Return the layers as in the source, or in the order that a scene gives: each named by its text or by the word before its
+    bracket."""
     layers = list(w.species.layers.layers)
     if order is None:
         return tuple(layers)

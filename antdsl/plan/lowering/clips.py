@@ -1,15 +1,20 @@
-"""`play`: which clip each machine plays, how far it has come, and how the clip before gives way to it.
+"""`play`: which clip each machine plays, its progress, and the cross-fade from the previous clip.
 
-A clip's time is counted in turns: 0 where it begins, 1 where it has been played once, on from there where it loops. So a body
-with other clips of the same names, faster or slower ones, takes over where the one before was. A clip that covers ground goes by
-the ground that the agent covers, so that feet do not slide; others by the clock.
+Progress is counted in turns: 0 at the start of a clip, 1 after it has played once, and so on if it loops. So bodies with faster
+or slower clips of the same names continue at the same progress. A clip that covers ground advances with the distance that the
+agent covers, so that feet do not slide. Other clips advance with time.
 
-Of each machine that plays: `clip`, the number of the clip in `SpeciesPlan.clips` (-1 for none), `clip_turns` and, before the last
-step, `clip_last`, `clip_weight`; the clip before with its turns and weight, `clip_before`, `clip_before_turns` and
-`clip_before_weight`; `clip_fade`, the share that it still has, and `clip_fading`, the time in which that goes from 1 to 0;
-`clip_over`, that of the next. A change while one clip gives way to another moves both back by a place: `clip_earlier` with all
-that goes with it has `clip_earlier_fade` of the share of what gives way. A further change waits (`clip_waits`) until that is 0,
-so that no pose ever jumps."""
+Registers of each machine that plays clips:
+
+- `clip`: the number of the clip in `SpeciesPlan.clips` (-1: none); `clip_turns`; `clip_last`, the turns before the
+  last step; `clip_weight`.
+- `clip_before`, `clip_before_turns` and `clip_before_weight`: the previous clip.
+- `clip_fade`: the share that the previous clip still has. `clip_fading`: the time in which it falls from 1 to 0.
+  `clip_over`: the fade time of the next change.
+- `clip_earlier` and its registers: the clip before the previous one, if a change happens during a fade.
+  `clip_earlier_fade` is its part of the share that fades out.
+
+A further change waits (`clip_waits`) until `clip_earlier_fade` is 0, so that no pose jumps."""
 
 from __future__ import annotations
 
@@ -73,7 +78,7 @@ def declare(w: Writer, machine: model.Machine) -> None:
 
 
 def begin(w: Writer, machine: model.Machine) -> None:
-    """At birth: the clip of the start state, from its start, or from anywhere where it loops."""
+    """At birth, start the clip of the start state: at its beginning, or at a drawn time if it loops."""
     line = next((line for line in machine.states[machine.start].body if isinstance(line, model.Play)), None)
     if line is None:
         return
@@ -86,20 +91,20 @@ def begin(w: Writer, machine: model.Machine) -> None:
 
 
 def give_way(w: Writer, machine: model.Machine, over: model.Expr | None, span: Span) -> None:
-    """A change says in what time the clip of the state that is left gives way."""
+    """Store how long the clip of the state that a transition leaves takes to fade out."""
     w.store(f"{machine.name}.clip_over", w.b.number(OVER) if over is None else scalar(w, over), span)
     w.store(f"{machine.name}.clip_waits", w.b.false, span)
 
 
 def enter(w: Writer, machine: model.Machine, state: model.State) -> None:
-    """Who comes into a state whose clip is to be played `again` has it begin anew, also where it is playing already."""
+    """Restart the clip of a state with `again` for agents that enter the state, even if it plays already."""
     line = next((line for line in state.body if isinstance(line, model.Play)), None)
     if line is not None and line.again is not None:
         w.store(f"{machine.name}.clip_waits", truth(w, line.again), line.span)
 
 
 def rest(w: Writer, machine: model.Machine, state: model.State) -> None:
-    """A state without a clip, in a machine that has some: the clip before gives way to none."""
+    """In a state without a clip, of a machine that has clips: let the previous clip fade out to none."""
     if plays(machine) and not any(isinstance(line, model.Play) for line in state.body):
         _step(w, machine.name, w.b.row(NONE), None, w.b.number(0), state.span)
 
@@ -113,7 +118,7 @@ def play(w: Writer, machine: str, line: model.Play) -> None:
 
 
 def _step(w: Writer, machine: str, clip: Node, speed: Node | None, weight: Node, span: Span) -> None:
-    """A step of a machine in which `clip` is wanted: it begins, waits until it can, or goes on."""
+    """Write a step of a machine that requests `clip`: it begins, waits until it can, or continues."""
     b, now, turns = w.b, w.read(f"{machine}.clip"), w.read(f"{machine}.clip_turns")
     none = clip is b.row(NONE)
     wished = b("ne", now, clip) if none else b("or", b("ne", now, clip), w.read(f"{machine}.clip_waits"))
@@ -141,7 +146,7 @@ def _step(w: Writer, machine: str, clip: Node, speed: Node | None, weight: Node,
 
 
 def test(w: Writer, e: model.ClipTest) -> Node:
-    """`clip done`, `clip at MARK`: whether a clip has come past a place in the last step, or to its end since it began."""
+    """Return whether a clip passed a mark in the last step (`clip at MARK`), or ended since it began (`clip done`)."""
     b, machine = w.b, e.machine
     names = next(m for m in w.species.machines if m.name == machine)
     if not plays(names):
@@ -158,8 +163,8 @@ def test(w: Writer, e: model.ClipTest) -> Node:
 
 
 def _first_turns(w: Writer, machine: str, clip: Node, step: Node) -> tuple[Node, Node]:
-    """Where another clip begins, and where it was before: at its start, or in step with the one before where both cover ground,
-    which it then goes on with by so many turns (`step`)."""
+    """Return the first turns of another clip, and its turns before that. It begins at 0, or in step with the previous clip if
+    both cover ground; it then advances by `step` turns."""
     b, before, turns = w.b, w.read(f"{machine}.clip"), w.read(f"{machine}.clip_turns")
     both = b("and", b("ne", before, clip), b("and", _walks(w, before), _walks(w, clip)))
     part = b("sub", turns, b("floor", turns))
@@ -167,7 +172,7 @@ def _first_turns(w: Writer, machine: str, clip: Node, step: Node) -> tuple[Node,
 
 
 def _become(w: Writer, machine: str, clip: Node, span: Span | None) -> None:
-    """Another clip begins, and those before move back by a place."""
+    """Begin another clip; the clips before it move back by one place."""
     b = w.b
     with w.region(w.read(_BEGINS), span or w.species.span):
         for to, source in _BACK:
@@ -179,7 +184,7 @@ def _become(w: Writer, machine: str, clip: Node, span: Span | None) -> None:
 
 
 def _fade(w: Writer, machine: str, span: Span | None) -> None:
-    """The clips before have less of a share, and go on meanwhile."""
+    """Reduce the shares of the previous clips and advance them."""
     b, dt = w.b, w.run("dt")
     with w.region(b("gt", w.read(f"{machine}.clip_fade"), b.number(0)), span or w.species.span):
         for which, share, over in (
@@ -195,7 +200,8 @@ def _fade(w: Writer, machine: str, span: Span | None) -> None:
 
 
 def _pace(w: Writer, clip: Node) -> Node:
-    """Turns a second: by the ground covered where the clip covers ground, in lengths of the body, else as long as it takes."""
+    """Return turns per second: from the ground covered in body lengths if the clip covers ground, else from the clip's
+    duration."""
     b = w.b
     stride, seconds = b("clip.value", clip, attrs=("stride",)), b("clip.value", clip, attrs=("seconds",))
     x, y, z = w.read_vector("velocity")
@@ -223,7 +229,7 @@ def _lines(machine: model.Machine) -> list[model.Play]:
 
 
 def leans(w: Writer) -> bool:
-    """Whether some clip of a species goes by how its agents turn or climb."""
+    """Return whether a clip of the species depends on how its agents turn or climb."""
     return any(clip.leans for clip in clips_of(w.species))
 
 
@@ -235,13 +241,13 @@ def declare_leaning(w: Writer) -> None:
 
 
 def begin_leaning(w: Writer) -> None:
-    """At birth: nobody has turned."""
+    """Store the birth heading: no agent has turned."""
     if leans(w):
         w.store_vector("lean#was", w.read_vector("heading"), None)
 
 
 def settle(w: Writer) -> None:
-    """A step: the turn since the one before, about the body's up, and the way that the heading rises."""
+    """Once a step, store the turn since the previous step, about the body's up, and the slope of the heading."""
     if not leans(w):
         return
     b, dt, heading = w.b, w.run("dt"), w.read_vector("heading")

@@ -15,7 +15,7 @@ from antdsl.program.traverse import inside, parts
 
 
 def lower(w: Writer, expr: model.Expr) -> Value:
-    """What an expression is at this place of the writer's text."""
+    """Return the value of an expression at the writer's current place."""
     outer, w.b.span = w.b.span, expr.span
     try:
         return _LOWER[type(expr)](w, expr)
@@ -24,12 +24,12 @@ def lower(w: Writer, expr: model.Expr) -> Value:
 
 
 def scalar(w: Writer, expr: model.Expr) -> Node:
-    """An expression that is one node: a number, a truth, a state, or a reference's row or id."""
+    """Lower an expression that is one node: a number, a bool, a state, or the row or id of a reference."""
     return single(w, expr, lower(w, expr))
 
 
 def single(w: Writer, expr: model.Expr, value: Value) -> Node:
-    """What an expression was lowered to, as one node."""
+    """Return the value of a lowered expression as one node."""
     if isinstance(value, Ref):
         return value.node
     if isinstance(value, Element):
@@ -47,7 +47,7 @@ def vector(w: Writer, expr: model.Expr) -> Vec:
 
 
 def truth(w: Writer, expr: model.Expr) -> Node:
-    """An expression as a condition: what may be none counts as whether it is there."""
+    """Lower an expression as a condition. A value that may be none is true if it is present."""
     return as_truth(w, lower(w, expr), expr)
 
 
@@ -145,9 +145,9 @@ def _local(w: Writer, e: model.Local) -> Value:
 
 
 def _let(w: Writer, binding: model.Binding) -> Value:
-    """A `let`, lowered once and not at each use; what it remembers advances wherever it is used.
+    """Lower a `let` once, not at each use. Its memories advance wherever it is used.
 
-    One that is a snapshot is the same all step long; one that is not, and all at birth, hold until the next store."""
+    A snapshot holds for the whole step. Other lets, and all lets at birth, hold until the next store."""
     lasting = binding.snapshot and not w.born
     known = w.lets if lasting else w.fleeting
     for each in _needed(w, binding, known):
@@ -166,7 +166,7 @@ def _let(w: Writer, binding: model.Binding) -> Value:
 
 
 def _needed(w: Writer, binding: model.Binding, known: Container[model.Binding]) -> list[model.Binding]:
-    """The lets to lower first, innermost first: a long chain of lets must not become a deep recursion."""
+    """Return the lets to lower first, innermost first. This avoids deep recursion for a long chain of lets."""
     order: list[model.Binding] = []
     stack: list[tuple[model.Binding, bool]] = [(binding, False)]
     done: set[model.Binding] = set()
@@ -228,7 +228,7 @@ def _before(w: Writer, binding: model.Binding) -> Value:
 
 
 def select(w: Writer, condition: Node, then: Value, other: Value) -> Value:
-    """`then` where the condition holds, else `other`: for every value that can be stored, and for hits."""
+    """Return `then` where the condition holds, else `other`. Works for hits and for all values that can be stored."""
     b = w.b
     if isinstance(then, Vec) and isinstance(other, Vec):
         return values.choose(b, condition, then, other)
@@ -284,7 +284,7 @@ def _attribute(w: Writer, e: model.Attribute) -> Value:
 
 
 def typed(w: Writer, node: Node, type: model.Type) -> Value:
-    """A register's node as a value of the language; a number that stands for a truth becomes one."""
+    """Return a register's node as a value of the language; a number that stands for a bool becomes a bool."""
     if type.kind in NONE:
         return Ref(type.kind, type.of or "", node)
     return w.b("ne", node, w.b.number(0)) if type.kind is model.Kind.BOOL and node.kind is Kind.F32 else node
@@ -306,14 +306,15 @@ def own(w: Writer, name: str, type: model.Type) -> Value:
 
 
 def measures_pushes(program: model.Program) -> bool:
-    """Whether species have the register `moved`: whether any text of the program asks how far contacts pushed somebody."""
+    """Return whether species have the register `moved`: whether any part of the program reads how far contacts pushed an
+    agent."""
     asking = parts([*program.species.values(), *program.specs])
     return any(isinstance(part, model.Attribute) and part.name == "moved" for part in asking)
 
 
 def keeps_moving(species: model.Species) -> bool:
-    """Whether a species has the register `min_speed`: whether it says or sets how fast it goes at least. Others have none, and
-    stand still as they like."""
+    """Return whether a species has the register `min_speed`, that is, declares or sets its lowest speed. Other species may stand
+    still."""
     if any(a.name == "min_speed" for a in species.attributes):
         return True
     return any(isinstance(part, model.Assign) and part.attribute == "min_speed" for part in parts(species))

@@ -39,11 +39,11 @@ def lower(
     notes: dict[str, Notes] | None = None,
     begun_with: Mapping[str, Collection[str]] | None = None,
 ) -> tuple[ir.Plan, Report]:
-    """The plan of a program, and complaints about what checks but cannot run yet.
+    """Return the plan of a program, and errors for constructs that pass the checks but cannot run yet.
 
-    `orders`: for a species the order of its layers, each by its text or its word before the bracket. `notes` gets, for each
-    species, which nodes stand for which part of its text. `begun_with`: for a species the attributes that the scene may give
-    to an agent at its birth."""
+    `orders`: the order of the layers by species, each layer by its text or its word before the bracket. `notes` receives, for
+    each species, which nodes stand for which part of its text. `begun_with`: for each species, the attributes that the scene may
+    set at an agent's birth."""
     report = Report()
     builder = Builder()
     pushes = measures_pushes(program)
@@ -117,7 +117,7 @@ def _species(w: Writer, order: Sequence[str] | None) -> ir.SpeciesPlan:
 
 
 def _born(w: Writer, machines: list[MachineWriter]) -> Block:
-    """Birth is a step of its own: what it has stored, the first real step sees as it was at its start."""
+    """Return the block of birth, a separate step: the first real step sees what it stored as values at its start."""
     w.born = True
     with w.block() as done:
         birth.born(w, machines)
@@ -143,7 +143,7 @@ def _decide(w: Writer, machines: list[MachineWriter]) -> None:
 
 
 def _relax(w: Writer, attribute: model.AttributeDecl) -> None:
-    """x moves toward its rest by the share 1 - exp(-dt / over): the same in a second however many steps that has."""
+    """Move x toward its rest value by the share 1 - exp(-dt / over). The result per second does not depend on the step length."""
     b = w.b
     assert attribute.relax_to is not None and attribute.relax_over is not None
     b.span = attribute.span
@@ -159,7 +159,7 @@ def _relax(w: Writer, attribute: model.AttributeDecl) -> None:
 
 
 def _latch(w: Writer, latch: model.Binding) -> None:
-    """On from when the first condition holds until the second does."""
+    """Set the latch from when its first condition holds until its second does."""
     assert latch.value is not None and latch.then is not None
     b, name = w.b, latch.key or latch.name
     b.span = latch.span
@@ -171,7 +171,7 @@ def _latch(w: Writer, latch: model.Binding) -> None:
 
 
 def _handler(w: Writer, handler: model.Handler, number: int, met: Mapping[str, Node]) -> None:
-    """`met`: whom an agent has begun to touch, by species."""
+    """Write a handler. `met`: the other that an agent has begun to touch, by species."""
     if handler.event == "spawn":
         return
     if handler.event == "collision":
@@ -221,7 +221,7 @@ def _keep(b: Builder, f: model.Field, node: object) -> Node | None:
 
 
 def stand_still(w: Writer, machines: Sequence[MachineWriter]) -> None:
-    """Once all machines have acted: the push of those of whom no state has steered."""
+    """Write, after all machines have acted, the push of agents that no state has steered."""
     rest = w.species.rest
     if rest is None:
         return
@@ -239,14 +239,14 @@ def stand_still(w: Writer, machines: Sequence[MachineWriter]) -> None:
 
 
 def declare(w: Writer) -> None:
-    """The ids of those whom an agent touches, of each species that a handler is about."""
+    """Declare the ids of the others that an agent touches, of each species that a handler is about."""
     for of in _met(w.species):
         for name in _touched(w.species, of):
             w.declare(name, Kind.I64, "memory", -1, of)
 
 
 def notice(w: Writer) -> dict[str, Node]:
-    """The id of whom an agent has begun to touch, -1 for nobody, by species; from here on that one is touched."""
+    """Return the id of the other that an agent has begun to touch, -1 for none, by species; from here on it counts as touched."""
     found = {}
     for of, handler in _met(w.species).items():
         names = _touched(w.species, of)
@@ -259,7 +259,7 @@ def notice(w: Writer) -> dict[str, Node]:
 
 
 def bind(w: Writer, handler: model.Handler, whom: Node) -> None:
-    """Let the name in the brackets of a handler stand for whom it is about."""
+    """Bind the name in the brackets of a handler to the agent `whom`."""
     if handler.other is not None:
         w.environment[handler.other] = Ref(model.Kind.AGENT, handler.of, whom)
 

@@ -1,7 +1,7 @@
-"""A state machine: which transition wins (decide), and what it does to the agent (act). Decisions 8 to 11.
+"""State machines: `decide` finds which transition wins, `act` carries it out. Decisions 8 to 11.
 
-`decide` only notes the number of the winning transition, counted from 1 over the whole machine, in the temp `~MACHINE.pending`.
-"""
+`decide` only stores the number of the winning transition, counted from 1 over the whole machine, in the temp
+`~MACHINE.pending`."""
 
 from __future__ import annotations
 
@@ -95,7 +95,7 @@ class MachineWriter:
     # --- decide ------------------------------------------------------------------------------------------------------
 
     def decide(self) -> None:
-        """In each state its transitions in order; the first that is true wins. Claims ask for what the winners take."""
+        """Check the transitions of each state in order; the first that is true wins. Winners that take something emit claims."""
         by_state = [(s, [c for c in self.changes if c.state is s]) for s in self.machine.states]
         self.w.alternatives([(self._in(s), s.span, partial(self._weigh, cs)) for s, cs in by_state if cs])
         self._per_change([c for c in self.changes if c.transition.take], self._claim)
@@ -139,11 +139,12 @@ class MachineWriter:
             return w.b.false
 
     def _anywhere(self, t: model.Transition) -> bool:
-        """It was written `from any`: it never leads into the state one is in, also where only the run shows which that is."""
+        """Return whether a transition was declared `from any`. It never leads into the current state, even where only the run
+        shows which state that is."""
         return t.key.startswith(f"{self.site}.{model.ANYWHERE}->")
 
     def _held(self, t: model.Transition, holds: Node, duration: model.Expr) -> Node:
-        """The condition holds and has held for so many steps before this one, without a break."""
+        """Return whether the condition holds now and has held without a break for `duration` before this step."""
         b, counter = self.w.b, _counter(t)
         before = self.w.before(counter)
         count = b("where", holds, b("add", before, b.number(1)), b.number(0))
@@ -169,7 +170,7 @@ class MachineWriter:
     # --- act ---------------------------------------------------------------------------------------------------------
 
     def act(self) -> None:
-        """Exit, the transition's actions, the change itself, enter; then the body of the state one is in now."""
+        """Write exit, the transition's actions, the change and enter; then the body of the new state."""
         w = self.w
         if self.changes:
             with w.region(self._changing(), self.machine.span):
@@ -228,7 +229,7 @@ class MachineWriter:
         return target
 
     def _enter(self, state: model.State) -> None:
-        """Counters of `held` begin anew: a state's own where it is entered, a shared one where a state without it is entered."""
+        """Restart counters of `held`: a state's own where it is entered, a shared one where a state without it is entered."""
         here = {t.key for t in state.transitions}
         for key in dict.fromkeys(c.transition.key for c in self.changes if c.transition.held is not None):
             counter = f"{key}.held"
@@ -246,7 +247,7 @@ def _counter(t: model.Transition) -> str:
 
 
 def steps(w: Writer, duration: Node) -> Node:
-    """The least whole number of steps that takes so long."""
+    """Return the smallest whole number of steps that lasts at least `duration`."""
     b = w.b
     ratio = b("mul", b("div", duration, w.run("dt")), b.number(SLACK))
     return b("neg", b("floor", b("neg", ratio)))
@@ -260,7 +261,7 @@ def passed(w: Writer, machine: str, duration: model.Expr) -> Node:
 
 
 def advance(w: Writer, machine: str) -> None:
-    """One step more in the state: counted in whole steps, so that no rounding piles up."""
+    """Count one more step in the state. Steps are whole numbers, so no rounding errors accumulate."""
     b, dt = w.b, w.run("dt")
     name = f"{machine}.time_in_state"
     whole = b("floor", b("add", b("div", w.read(name), dt), b.number(1.5)))

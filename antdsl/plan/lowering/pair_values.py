@@ -1,7 +1,7 @@
-"""Values per pair: what an agent keeps about each of a few others, in as many slots of two registers, an id and a value.
+"""Values per pair: what an agent stores about each of a few others, in as many slots of two registers, an id and a value.
 
-About whom no slot tells, the value is the one that it begins with and returns to. Who is added where all slots are taken puts
-out the weakest: the one whose value is nearest to that, the greater id at a tie."""
+For others without a slot, the value is the one that it begins with and returns to. If all slots are taken, a new other replaces
+the weakest: the one with the value nearest to that, the greater id at a tie."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ from antdsl.plan.lowering.writer import Writer
 from antdsl.plan.registers import slot_names
 from antdsl.program import model
 
-NEAR_REST = 1e-9  # base units from the value of rest: so near, it is told by no slot
+NEAR_REST = 1e-9  # base units from the value of rest: nearer values have no slot
 
 
 def declare(w: Writer, attribute: model.AttributeDecl) -> None:
-    """The registers of a value per pair, and one of the step by its name, which what is to be kept goes through."""
+    """Declare the registers of a value per pair, and one of the step by its name, which values to be stored go through."""
     holds = (attribute.type.kind.value, *attribute.type.dim, attribute.each)
     for who, value in slot_names(attribute.name, attribute.strongest):
         w.declare(who, Kind.I64, "pair", -1, attribute.each, holds)
@@ -45,7 +45,7 @@ def read(w: Writer, attribute: model.AttributeDecl, of: model.Expr) -> Node:
 
 
 def relax(w: Writer, attribute: model.AttributeDecl) -> None:
-    """At the start of a step: what is left of each value, and no slot for what is gone."""
+    """At the start of a step, relax each value towards its rest, and free the slots of values that have reached it."""
     b = w.b
     b.span = attribute.span
     rest = at_rest(w, attribute)
@@ -74,8 +74,8 @@ def assign(w: Writer, s: model.Assign, attribute: model.AttributeDecl) -> None:
 
 
 def _assign_all(w: Writer, s: model.Assign, attribute: model.AttributeDecl) -> None:
-    """Those whom a slot tells of change where they stand; of the others the strongest come in, as many as there are slots.
-    All is worked out before anything changes: the value may be made of such values itself."""
+    """Set the value for all others of a set. Others with a slot change in place; of the rest the strongest come in, as many as
+    there are slots. All is computed before anything changes, as the value may use such values itself."""
     b = w.b
     assert s.over is not None and s.element is not None
     over = gather(w, s.over)
@@ -102,7 +102,7 @@ def _assign_all(w: Writer, s: model.Assign, attribute: model.AttributeDecl) -> N
         w.store(names[0], b.agent(-1), s.span)
 
     def find(new: Node, left: int) -> None:
-        """The strongest of those that no slot tells of, and inside of that the next."""
+        """Find the strongest of the agents that have no slot yet, then recursively the next one."""
         whom = b("reduce.agent", over.nodes, new, b("neg", strength))
         with w.region(b("ne", whom, b.agent(-1)), s.span):
             met = b("reduce.max", over.nodes, b("eq", other, whom), amount)
@@ -126,15 +126,15 @@ def _assign_all(w: Writer, s: model.Assign, attribute: model.AttributeDecl) -> N
 
 
 def _hold(w: Writer, name: str, value: Node, s: model.Assign) -> Node:
-    """A value that stays as it is now, whatever is stored from here on."""
+    """Store a value in a temp, so that later stores do not change it."""
     w.declare(name, value.kind, "temp", -1 if value.kind is Kind.I64 else 0)
     w.store(name, value, s.span)
     return w.read(name)
 
 
 def _put(w: Writer, attribute: model.AttributeDecl, whom: Node, value: Node, s: model.Assign, known: bool) -> None:
-    """Keep a value about somebody: a pass over the slots in which the stronger stays and the weaker goes on to the next, so that
-    the weakest of all is left over. `known`: a slot may tell of them already, which is freed before."""
+    """Store a value about an agent: in a pass over the slots the stronger stays and the weaker moves to the next, so that the
+    weakest of all is left over. `known`: the agent may have a slot already, which is freed first."""
     b, rest = w.b, at_rest(w, attribute)
     carried, amount = whom, _hold(w, attribute.name, value, s)
     strength = b("abs", b("sub", amount, rest))
@@ -168,7 +168,7 @@ def _slots(w: Writer, attribute: model.AttributeDecl) -> list[tuple[Node, Node]]
 
 
 def at_rest(w: Writer, attribute: model.AttributeDecl) -> Node:
-    """What a value per pair begins with and returns to: a constant or a param."""
+    """Return the initial and rest value of a pair value: a constant or a param."""
     return scalar(w, attribute.default)
 
 

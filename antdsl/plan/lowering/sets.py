@@ -1,4 +1,4 @@
-"""Sets and what is made of them: neighbours and items become a reduction over pairs, feelers are written out ray by ray."""
+"""Sets and reductions over them: neighbours and items become a reduction over pairs; feelers are unrolled ray by ray."""
 
 from __future__ import annotations
 
@@ -23,10 +23,11 @@ _MOST = {"neighbours": 2, "all": 1}  # which of a set's arguments says how many 
 
 
 def quantum(dim: Dim) -> int:
-    """Terms of a sum are rounded to a multiple of 2**quantum of their base unit, so that the sum is exact in any order.
+    """Return the exponent of the quantum of sums. Terms are rounded to a multiple of 2**quantum of their base unit, so that the
+    sum is exact in any order.
 
-    A float64 carries 53 bits: with -24 the sum may reach 2**28. Lengths, speeds and forces give up four bits of fineness for
-    range (1e-6 mm, and sums up to 4 million metres), areas fourteen, volumes all; densities get six more."""
+    A float64 has 53 bits: with -24 the sum may reach 2**28. Lengths, speeds and forces trade four bits of resolution for range
+    (1e-6 mm, sums up to 4 million metres). Areas trade fourteen and volumes all of them; densities get six more."""
     if dim.length <= 0:
         return -30 if dim.length < 0 else -24
     return -20 if dim.length <= 1 else -10 if dim.length <= 2 else 0
@@ -61,8 +62,8 @@ def gather(w: Writer, e: model.SetOf) -> Group | Hits:
 
 
 def _among_nearest(w: Writer, nodes: Node, condition: Node, kind: model.Kind, most: Node) -> Node:
-    """Whether an element is one of the nearest of those that a condition holds for, the lesser id or row first at a tie: all are
-    where there are no more, else those not behind the last of them."""
+    """Return whether an element is among the `most` nearest of those for which a condition holds. Ties go to the lower id or row.
+    All elements count if there are no more than `most`."""
     b, away = w.b, w.b("pair.distance")
     of_items = kind is model.Kind.ITEM
     last = b("reduce.nth_item" if of_items else "reduce.nth_agent", nodes, condition, away, most)
@@ -94,7 +95,7 @@ def _all_round(fov: Node) -> bool:
 
 
 def cone(w: Writer, fov: Node) -> tuple[Node]:
-    """The least cosine to the heading of what lies inside a field of view."""
+    """Return the smallest cosine between the heading and a direction inside a field of view."""
     b = w.b
     if _all_round(fov):
         return (b.number(BACKWARD),)
@@ -103,7 +104,7 @@ def cone(w: Writer, fov: Node) -> tuple[Node]:
 
 
 def bound(w: Writer, binding: model.Binding, element: Value, body: Callable[[], T]) -> T:
-    """Lower something with a name standing for an element."""
+    """Run `body` with a name bound to an element."""
     w.environment[binding] = element
     if isinstance(element, Element):
         w.elements.append(binding)
@@ -119,7 +120,7 @@ def bound(w: Writer, binding: model.Binding, element: Value, body: Callable[[], 
 
 
 def reduce(w: Writer, e: model.Reduce) -> Value:
-    """sum mean min max count any every best nearest, over a set."""
+    """Lower sum, mean, min, max, count, any, every, best or nearest over a set."""
     over = gather(w, e.over)
     if isinstance(over, Hits):
         return _over_hits(w, e, over)
@@ -206,12 +207,12 @@ def _narrowed(w: Writer, hit: Hit, element: model.Binding, where: model.Expr | N
 
 
 def _met(w: Writer, hit: Hit) -> Hit:
-    """The hit as the body of a reduction sees it: it is there, since what a miss gives is left out afterwards."""
+    """Return the hit for the body of a reduction: it counts as present, because results of misses are dropped afterwards."""
     return Hit(w.b.true, hit.distance, hit.normal, hit.direction)
 
 
 def _over_hits(w: Writer, e: model.Reduce, over: Hits) -> Value:
-    """The same reductions, written out in the order of the rays."""
+    """Lower the same reductions over hits, unrolled in the order of the rays."""
     b = w.b
     if e.how == "nearest":
         return _hit_with_least(w, over, [hit.distance for hit in over.hits])

@@ -1,6 +1,6 @@
-"""Lowering that also notes which nodes stand for which part of the text: conditions with their parts, layers, choices, steering.
+"""Lowering that also records which nodes stand for which part of the text: conditions and their parts, layers, choices, steering.
 
-The plan is the same as without: a note asks for nodes that are there already, and writes no statement."""
+The plan is unchanged: a note refers to existing nodes and writes no statement."""
 
 from __future__ import annotations
 
@@ -29,8 +29,8 @@ _NUMBER = model.Type(model.Kind.NUMBER)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PartNote:
-    """A part of an expression: `nodes` is one, or three for a vector; `unit` is one that the author wrote beside it, or a usual
-    one. `role`: draw or bar, of a `chance`; joined, where it is no more than its parts with `and`, `<` and the like between."""
+    """A part of an expression. `nodes` is one, or three for a vector. `unit` is one that the author wrote beside it, or a usual
+    one. `role`: draw or bar, of a `chance`; joined, if it only joins its parts with `and`, `<` and the like."""
 
     text: str
     type: model.Type
@@ -76,7 +76,7 @@ class ChoiceNote:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LayerNote:
-    """`left` is the strength that earlier layers have left; `looked` whether that is any."""
+    """A layer. `left` is the budget that earlier layers have left; `looked` is whether it is above 0."""
 
     layer: model.Layer
     left: Node
@@ -90,7 +90,7 @@ RESTS = "no line steers, so it stands still: halt()"
 
 
 def resting_site(species: str) -> str:
-    """The place of the push of those who stand still since no state steers."""
+    """Return the site of the push for agents that stand still because their state does not steer."""
     return f"{species}.rest#1"
 
 
@@ -162,7 +162,7 @@ class NotingWriter(Writer):
     # --- parts -------------------------------------------------------------------------------------------------------
 
     def _part(self, e: model.Expr, units: list[str], deep: int = 0) -> PartNote | None:
-        """An expression with the parts that decide it; None for what has no value of its own (a species, a field)."""
+        """Return an expression with the parts that decide it; None for expressions without a value (a species, a field)."""
         value = lower(self, e)
         text, type = _line(e.span.text), e.type
         parts: tuple[PartNote, ...] = ()
@@ -200,7 +200,8 @@ class NotingWriter(Writer):
 
 
 def _inner_parts(e: model.Expr, units: list[str]) -> Iterator[tuple[model.Expr, list[str]]]:
-    """What an expression is worth telling by: sides of a comparison, names in a sum, what a `let` says."""
+    """Yield the parts of an expression that are worth showing: sides of a comparison, names in a sum, the values of `let`s. Each
+    comes with its units."""
     if isinstance(e, model.Local) and e.binding.role == "let" and e.binding.value is not None:
         if isinstance(e.binding.value, model.Op):
             yield from _inner_parts(e.binding.value, _units(e.binding.value.span))
@@ -226,7 +227,7 @@ def _units(span: Span) -> list[str]:
 
 
 def _unit(e: model.Expr, units: list[str], program: model.Program) -> str:
-    """A unit for a number: that of the param itself, the first of its dimension that is written there, or a usual one."""
+    """Return a unit for a number: that of the param itself, the first unit of its dimension in the text, or a default."""
     if e.type.kind not in (model.Kind.NUMBER, model.Kind.VECTOR):
         return ""
     if isinstance(e, model.ParamRef) and e.name in program.params:

@@ -1,8 +1,7 @@
-"""A spec to a plan of what to look at: blocks that ask each agent and item, numbers about wholes, conditions over them.
+"""Lowers a spec to a plan: blocks that evaluate each agent and item, numbers about whole populations, and conditions over them.
 
-The blocks of a judged species store into registers of their own and change nothing else. `decide` asks for the wholes, `act`
-judges each agent, `blend` reads the values that a failure tells.
-"""
+The blocks of a judged species store into separate registers and change nothing else. `decide` requests the numbers about wholes,
+`act` judges each agent, `blend` reads the values for the message of a failure."""
 
 from __future__ import annotations
 
@@ -31,9 +30,9 @@ _KINDS = {model.Kind.SPECIES: "species", model.Kind.ITEMS: "items", model.Kind.F
 
 @dataclass(frozen=True, slots=True, eq=False)
 class WholePlan:
-    """A number about all agents of a species, items of a name, cells of a field or a solid, told to the nodes `told NAME`.
+    """A number about all agents of a species, items of a name, cells of a field or a solid, passed to the nodes `told NAME`.
 
-    `where` and `body` are registers that `decide` has filled; `amount` is an item's attribute that is taken as it is kept."""
+    `where` and `body` are registers that `decide` has filled; `amount` is an item's attribute that is taken as it is stored."""
 
     name: str
     how: str
@@ -46,7 +45,7 @@ class WholePlan:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class StartPlan:
-    """What a number was at first. Of the whole: `value`, told as `name`; of each agent: register `asked`, kept in `name`."""
+    """A number at the start. Of the whole: `value`, passed as `name`; of each agent: register `asked`, stored in `name`."""
 
     name: str
     value: Node | None = None
@@ -56,7 +55,7 @@ class StartPlan:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class OtherPlan:
-    """What a number of the whole is in the run that is compared with, told as `name`: there it is the node's value."""
+    """A number of the whole in the run that is compared with, passed as `name`: in that run it is the node's value."""
 
     name: str
     value: Node
@@ -92,8 +91,8 @@ class JudgementPlan:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SpecPlan:
-    """`plan` has the judged species, and items under their names as species of their own. `bodily`: by species the registers
-    that whoever judges fills before it asks, by their names in GEOMETRY."""
+    """`plan` has the judged species, and items under their names as separate species. `bodily`: by species the registers that the
+    judge fills before it evaluates, by their names in GEOMETRY."""
 
     spec: expectations.Spec
     plan: ir.Plan
@@ -134,7 +133,7 @@ class _Writer(Writer):
         return self.work.start(self, e)
 
     def bodily(self, e: expectations.Bodily) -> Node:
-        """A register that is filled before anybody is asked."""
+        """Return a register that is filled before the evaluation."""
         name = f"geometry.{e.name}"
         self.registers[name] = Register(name, Kind.F32, "attribute")
         self.work.bodily.setdefault(self.species.name, set()).add(e.name)
@@ -193,7 +192,7 @@ class _Work:
     # --- wholes and starts -------------------------------------------------------------------------------------------
 
     def whole(self, e: expectations.Whole) -> Node:
-        """What is told about a whole, asked once however often the rules look at the expression."""
+        """Return the value of a whole; it is evaluated once, however often the rules read the expression."""
         if e not in self.known:
             self.known[e] = self._whole(e)
         return self.known[e]
@@ -218,7 +217,7 @@ class _Work:
         return self.b("ne", told, self.b.number(0)) if e.type.kind is model.Kind.BOOL else told
 
     def start(self, w: _Writer, e: expectations.AtStart) -> Node:
-        """What is told about the start, or kept of it for each agent."""
+        """Return the value at the start, of the whole or stored for each agent."""
         if e not in self.known:
             self.known[e] = self._start(w, e)
         return self.known[e]
@@ -235,14 +234,14 @@ class _Work:
         return self.b("snap", attrs=(name,), kind=Kind.F32)
 
     def other(self, e: expectations.Other) -> Node:
-        """What is told of the other run."""
+        """Return the value in the other run."""
         if e not in self.known:
             self.others.append(OtherPlan(f"other#{len(self.others) + 1}", scalar(self.above, e.value)))
             self.known[e] = self.b("told", attrs=(self.others[-1].name,))
         return self.known[e]
 
     def _sound(self, w: _Writer, node: Node, e: model.Expr) -> Node:
-        """The node, if looking at it changes nothing and items have what it asks."""
+        """Return the node, if evaluating it changes nothing and items have all that it reads."""
         if w.statements:
             w.statements.clear()
             raise NotYet("something that remembers, in a spec,", e.span, "ask for what it does: an attribute, a state, a speed")
@@ -286,12 +285,13 @@ class _Work:
 
 
 def _of_an_agent(node: Node) -> bool:
-    """Whether only an agent has such a value: a sense, its age; an item has registers alone."""
+    """Return whether only an agent has such a value, for example a sense or its age; items only have registers."""
     return node.op != "snap" and (OPS[node.op].rate is Rate.AGENT or node.kind is Kind.SET)
 
 
 def lower_spec(spec: expectations.Spec, program: model.Program, plan: ir.Plan) -> tuple[SpecPlan | None, Report]:
-    """What to look at for a spec, given the lowered program that it judges; None with a report of what cannot be asked yet."""
+    """Return what to evaluate for a spec, given the lowered program that it judges; None with a report of what cannot be
+    evaluated yet."""
     report = Report()
     before = sys.getrecursionlimit()
     sys.setrecursionlimit(max(before, DEEP))

@@ -1,4 +1,4 @@
-"""What an expression becomes while it is lowered: one node, three of them, or a thing that only an operation can take."""
+"""The results of lowering an expression: one node, three nodes, or a value that only some operations accept."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ class Element:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Hit:
-    """What a ray met: whether, how far, the normal there, and the ray's unit direction."""
+    """The result of a ray: whether it hit, the distance, the normal at the hit, and the ray's unit direction."""
 
     hit: Node
     distance: Node
@@ -122,13 +122,13 @@ def length(b: Builder, v: Vec) -> Node:
 
 
 def along(b: Builder, v: Vec, size: Node) -> Vec:
-    """v / size, or nothing where size is no length to divide by."""
+    """Return v / size, or zero where size is not usable as a divisor."""
     inverse = b("where", b("gt", size, b.number(TINY)), b("div", b.number(1), size), b.number(0))
     return scale(b, v, inverse)
 
 
 def unit(b: Builder, v: Vec) -> Vec:
-    """The same way, length 1; nothing stays nothing (decision 24)."""
+    """Return the vector scaled to length 1; a zero vector stays zero (decision 24)."""
     return along(b, v, length(b, v))
 
 

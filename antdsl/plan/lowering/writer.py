@@ -1,8 +1,7 @@
-"""Where lowering writes: the current block of one species, what has been written on the way there, and what reads see.
+"""The state of lowering: the current block of one species, the stores on the path to it, and how reads see registers.
 
-An own attribute reads as `snap` while nothing on the way to this place can have written it, so that what depends on it is shared
-with every other place; after a possible write it reads as `load`, counted by the stores before it in the text.
-"""
+An own attribute reads as `snap` while no statement on the path can have written it. So nodes that depend on it are shared with
+all other places. After a possible write it reads as `load`, counted by the stores before it in the text."""
 
 from __future__ import annotations
 
@@ -29,7 +28,7 @@ NONE = {model.Kind.ITEM: -1, model.Kind.AGENT: -1}
 
 
 class NotYet(Exception):
-    """A construct that checks but cannot run: becomes a placed complaint."""
+    """A construct that passes the checks but cannot run yet. It becomes an error with a location."""
 
     def __init__(self, what: str, span: Span, help: str) -> None:
         super().__init__(what)
@@ -37,8 +36,8 @@ class NotYet(Exception):
 
 
 class Rules(NamedTuple):
-    """How what is made of other expressions becomes nodes: operations by name, sets, and what is reduced over sets. All of them
-    lower the parts of what they are given, so they come to a Writer from outside."""
+    """How compound expressions become nodes: operations by name, sets, and reductions over sets. They lower their own parts, so a
+    Writer receives them from outside."""
 
     operations: Mapping[str, Callable[[Writer, model.Op], values.Value]]
     gather: Callable[[Writer, model.SetOf], values.Value]
@@ -77,7 +76,7 @@ class Writer:
     def declare(
         self, name: str, kind: Kind, role: str, zero: float | int | bool = 0, of: str | None = None, holds: tuple[Any, ...] = ()
     ) -> None:
-        """A register of this species; the same one twice is a mistake of ours."""
+        """Declare a register of this species. A second declaration of the same name is an internal error."""
         known = self.registers.get(name)
         if known is None:
             self.registers[name] = Register(name, kind, role, zero, of, holds)
@@ -101,7 +100,8 @@ class Writer:
         return self._read(name, self.snapshot)
 
     def read_now(self, name: str) -> Node:
-        """The register as it is by now, also for a snapshot: latches, which are all set before anything asks."""
+        """Return the register's current value, even if it has a snapshot. For latches, which are all set before anything reads
+        them."""
         return self._read(name, False)
 
     def _read(self, name: str, snapshot: bool) -> Node:
@@ -116,7 +116,7 @@ class Writer:
         return self.b("load", attrs=(name, seen), kind=register.kind)
 
     def before(self, name: str) -> Node:
-        """The register as it was before this step, wherever one asks."""
+        """Return the register's value before this step, at any place."""
         if self.born:
             return self.b.zero(self.registers[name].kind, self.registers[name].zero)
         return self.b("snap", attrs=(name,), kind=self.registers[name].kind)
@@ -139,12 +139,12 @@ class Writer:
         self.memories.clear()
 
     def tell(self, e: model.Expr) -> values.Value:
-        """What a spec asks about a whole; programs themselves cannot."""
+        """Lower a spec's expression about a whole population; programs cannot use these."""
         raise PlanError(f"only a spec asks that: {e.span.text!r}")
 
     # --- notes -------------------------------------------------------------------------------------------------------
 
-    # Told as the parts of the text are lowered; `NotingWriter` keeps what explains a step.
+    # Called as parts of the text are lowered; `NotingWriter` stores what explains a step.
 
     def weighed(self, machine: str, number: int, state: model.State, t: model.Transition, fires: Node) -> None:
         """A transition of a state, and whether it fires."""
@@ -159,7 +159,7 @@ class Writer:
         """A `steer` line, or a `face` line of a state or of the layers, and whether its condition holds there."""
 
     def rested(self, rest: model.Rest, push: Vec) -> None:
-        """What stands in for the `steer` line of those who have none."""
+        """Note the push that replaces the `steer` line of agents that have none."""
 
     # --- statements --------------------------------------------------------------------------------------------------
 
@@ -167,7 +167,7 @@ class Writer:
         self.statements.append(statement)
 
     def store(self, name: str, value: Node, span: Span | None, infinite: bool = False) -> None:
-        """Set a register from here on. Storing what it holds already is left out."""
+        """Set a register from here on. A store of the current value is left out."""
         kind = self.registers[name].kind
         if value.kind is not kind:
             raise PlanError(f"register {name} is a {kind.value} and cannot take a {value.kind.value}")
@@ -216,7 +216,7 @@ class Writer:
 
     @contextmanager
     def block(self) -> Iterator[Callable[[], Block]]:
-        """Collect statements apart; call what is given to have them as a Block."""
+        """Collect statements separately; call the yielded function to get them as a Block."""
         outer, self.statements = self.statements, []
         mine = self.statements
         try:
@@ -226,7 +226,7 @@ class Writer:
 
     @contextmanager
     def region(self, condition: Node, span: Span | None) -> Iterator[None]:
-        """What is written inside holds only where the condition does."""
+        """Open a region: statements inside run only where the condition holds."""
         outer = self.statements
         written, remembered = set(self._written), set(self._remembered)
         if condition is self.b.true:
@@ -245,7 +245,7 @@ class Writer:
                 self.add(If(condition, Block(tuple(inner)), span))
 
     def alternatives(self, cases: Sequence[tuple[Node, Span | None, Callable[[], None]]]) -> None:
-        """Regions of which an agent is in one at most: what one writes, another has not seen written."""
+        """Write regions of which at most one applies to an agent. Stores in one are not visible in the others."""
         entered = set(self._written)
         after = set(entered)
         for condition, span, write in cases:

@@ -1,4 +1,4 @@
-"""Breakpoints: the session pauses where one is met. KINDS has all kinds of them."""
+"""Breakpoints: the session pauses when one is hit. KINDS lists all kinds."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ KINDS: Mapping[type, Callable[[Session, Any, Specs], Waiting]] = {
 
 @dataclass(slots=True, eq=False)
 class Breakpoint:
-    """A breakpoint: what was asked, and what waits for it; None while the program is one that it does not fit."""
+    """A breakpoint: the request, and what waits for it; None while it does not fit the program."""
 
     ask: Break
     waits: Waiting | None = None
@@ -49,8 +49,8 @@ def words(ask: Break) -> str:
 
 
 class Breakpoints:
-    """Looks at each step that is played. `tell` gets a message for each breakpoint that does not fit a program, and all there
-    are whenever they are made anew."""
+    """Checks each step that is played. `tell` gets a message for each breakpoint that does not fit a program, and all of them
+    whenever they are built again."""
 
     def __init__(self, specs: Specs, tell: Callable[[dict[str, Any]], None] = lambda message: None) -> None:
         self.specs, self.tell = specs, tell
@@ -59,8 +59,8 @@ class Breakpoints:
         self._seen: tuple[World, int] | None = None  # the world and frame that they have seen
 
     def set(self, session: Session, asks: Sequence[Break], tried: Break | None = None) -> None:
-        """All breakpoints there are; of those that were there before nothing is left. Misfit where the one that is `tried`
-        besides does not fit the program: then all stays as it was."""
+        """Replace all breakpoints. Raises Misfit if the additional one, `tried`, does not fit the program: then nothing
+        changes."""
         if tried is not None and tried not in asks:
             KINDS[type(tried)](session, tried, self.specs)
             asks = [*asks, tried]
@@ -74,7 +74,7 @@ class Breakpoints:
         return {"op": "breaks", "breaks": [{"made": made, "why": why} for made, why in told]}
 
     def entered(self, session: Session) -> None:
-        """They are made anew for another program, so that one that does not fit is told at once."""
+        """Build them again for another program, so that misfits are reported at once."""
         if self.breaks and session.shot is not self._shot and session.frame == session.head:
             self._fit(session)
 
@@ -89,7 +89,7 @@ class Breakpoints:
 
     def stepped(self, session: Session) -> Stop | None:
         if not self.breaks or self._seen is None or session.world is not self._seen[0]:
-            return None  # nobody waits, or the step led into another program: that is looked at before the next
+            return None  # none waits, or the step led into another program: that is looked at before the next
         looked = [each.waits.look(session) for each in self.breaks if each.waits is not None]
         self._seen = session.world, session.frame
         met = [stop for stop in looked if stop is not None]

@@ -27,14 +27,14 @@ _ALONE = "write one condition, such as `count(state == carry) > 10`"
 
 
 class ConditionWaits:
-    """Met in the frame in which it holds and did not in the one before; asked of each agent, by those of whom that is so."""
+    """Hit in a frame in which the condition holds and did not in the frame before; evaluated for each agent, hit by those."""
 
     def __init__(self, session: Session, ask: ConditionBreak) -> None:
         self.text = " ".join(ask.text.split())
         self.plan = condition_plan(session.shot, ask.text)
         [self.line] = self.plan.judgements
         self.asker: Asker | None = None
-        self.held: NDArray[np.int64] = np.zeros(0, np.int64)  # ids for whom it held; 0 alone where it is about the whole
+        self.held: NDArray[np.int64] = np.zeros(0, np.int64)  # ids for which it held; 0 alone where it is about the whole
 
     def begin(self, session: Session) -> None:
         self.asker = Asker(self.plan, session.world)
@@ -73,7 +73,8 @@ class ConditionWaits:
 
 
 def condition_plan(shot: Shot, text: str) -> SpecPlan:
-    """What to look at for a condition, as for the only line of a spec. Misfit with what is wrong with the text."""
+    """Return what to evaluate for a condition, as if it were the only line of a spec. Raises Misfit with the error in the
+    text."""
     from antdsl.program import check
 
     file, report = parse(Source(_NAME, _as_spec(text)))
@@ -101,7 +102,7 @@ def _as_spec(text: str) -> str:
 
 
 def _is_one_line(file: nodes.File) -> bool:
-    """Whether the text has not brought anything besides its condition."""
+    """Return whether the text is its condition alone."""
     if len(file.items) != 1 or not isinstance(file.items[0], nodes.Spec):
         return False
     [*lines] = file.items[0].lines
@@ -111,8 +112,8 @@ def _is_one_line(file: nodes.File) -> bool:
 
 
 def _demand(report: Report, whole: str = "") -> None:
-    """Misfit with the first error about the text. The program itself has none, and a file of nothing but a spec is no mistake
-    here. `whole`: what to write instead of a condition on the whole that only an agent can be asked."""
+    """Raise Misfit with the first error about the text. The program itself has none, and a file of nothing but a spec is no
+    mistake here. `whole`: what to write instead of a condition on the whole that only applies to an agent."""
     for error in report.sorted():
         if error.severity == "error" and error.code != "empty-program":
             help = (error.help or "").replace("never: ", "")

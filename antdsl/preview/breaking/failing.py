@@ -1,4 +1,4 @@
-"""A spec of the scene fails: in this frame it held no more, and in the one before it did."""
+"""A breakpoint on a failing spec of the scene: it held in the previous frame and fails in this one."""
 
 from __future__ import annotations
 

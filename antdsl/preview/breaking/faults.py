@@ -1,4 +1,4 @@
-"""A value at fault: a number that is none, in whichever agent."""
+"""A breakpoint on a fault in any agent, for example a value that is not a number."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from antdsl.preview.session import Session
 
 
 class FaultWaits:
-    """Stops also where faults would only set agents aside."""
+    """Stops even for faults that would otherwise only quarantine agents."""
 
     def __init__(self, session: Session, ask: FaultBreak) -> None:
         self.ask = ask

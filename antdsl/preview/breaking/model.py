@@ -1,4 +1,4 @@
-"""What a breakpoint is while it waits: it is shown where it begins, then looks at every frame."""
+"""The interface of breakpoints: a waiting breakpoint receives the start frame, then looks at every frame."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from antdsl.preview.session import Session
 
 
 class Misfit(Exception):
-    """Why a breakpoint cannot be met in this program: in words, and what to write instead."""
+    """The reason why a breakpoint cannot be hit in this program, and what to write instead."""
 
     def __init__(self, message: str, help: str = "") -> None:
         super().__init__(message)
@@ -20,7 +20,8 @@ class Waiting(Protocol):
     """A breakpoint that waits, made for one program. Looking changes nothing."""
 
     def begin(self, session: Session) -> None:
-        """See how it is at this frame, which is not met by itself: only what comes to be so is."""
+        """Record the condition at this frame. What holds already is no hit; only a change to it is."""
 
     def look(self, session: Session) -> Stop | None:
-        """Why to stop at this frame, the next after the one that was seen or looked at last."""
+        """Return why to stop at this frame, or None. Frames arrive in order: each is the next after the last one seen or looked
+        at."""

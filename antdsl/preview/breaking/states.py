@@ -1,4 +1,4 @@
-"""An agent enters a state: it was there in the frame before, and in another one."""
+"""A breakpoint on an agent that enters a state: it was in another state in the previous frame."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ MOST = 500  # agents that a page selects
 
 
 class StateWaits:
-    """Who is born in the state has not entered it, and who changes from it to itself has not either."""
+    """Neither birth in the state nor a change from the state to itself counts as entering."""
 
     def __init__(self, session: Session, ask: StateBreak) -> None:
         plan = session.shot.plan.species.get(ask.species)
@@ -47,7 +47,7 @@ class StateWaits:
 
 
 def named(species: str, ids: tuple[int, ...]) -> str:
-    """Agents in words, the first of them by their ids."""
+    """Return a text for agents of a species, with the ids of the first few."""
     words = f"{species} {', '.join(map(str, ids[:_NAMED]))}"
     return f"{words} and {len(ids) - _NAMED} more" if len(ids) > _NAMED else words
 

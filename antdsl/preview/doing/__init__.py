@@ -1,4 +1,4 @@
-"""What is done for each thing that a page asks: one function each, called by the live thread between two steps."""
+"""The handlers of page requests: one function each, called by the live thread between two steps."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from antdsl.preview.doing import edits, queries, time
 if TYPE_CHECKING:
     from antdsl.preview.live import Client, Live
 
-# By the kind of ask. A handler may raise Refusal; whatever else it raises is told as a bug and ends nothing.
+# By the kind of request. A handler may raise Refusal; others are reported as bugs and end nothing.
 HANDLERS: Mapping[type[Any], Callable[[Live, Any, Client], None]] = {
     requests.Play: time.play,
     requests.Pause: time.pause,
@@ -28,4 +28,4 @@ HANDLERS: Mapping[type[Any], Callable[[Live, Any, Client], None]] = {
     requests.Breaks: queries.breaks,
     requests.Profile: queries.profile,
 }
-WITHOUT_SESSION = frozenset([requests.Look, requests.Reload, requests.Speed])  # what can be asked while the scene has errors
+WITHOUT_SESSION = frozenset([requests.Look, requests.Reload, requests.Speed])  # possible while the scene has errors

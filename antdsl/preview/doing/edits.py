@@ -1,4 +1,4 @@
-"""What is changed by hand, and files taken up when somebody asks for it."""
+"""Manual edits, and files that are loaded on request."""
 
 from __future__ import annotations
 

@@ -32,7 +32,7 @@ def speed(live: Live, ask: requests.Speed, client: Client) -> None:
 
 
 def seek(live: Live, ask: requests.Seek, client: Client) -> None:
-    """Frames that are not kept count as the nearest that is."""
+    """Go to a frame, or show the nearest stored one."""
     live.pause()
     session = live.session
     frame = min(max(ask.frame, session.first), session.head)

@@ -1,5 +1,5 @@
-"""Why an agent did what it did, in a session under way: its step is done again in a world of its own, from the nearest
-checkpoint of the stretch of time that it belongs to. The session's own world is not touched."""
+"""Why an agent did what it did, in a session under way: its step is repeated in a separate world, from the nearest checkpoint of
+its stretch of time. The session's own world is not touched."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ from antdsl.preview.session import Session
 from antdsl.preview.timeline import Arrays, Change, Stretch
 from antdsl.runtime import World, checkpoint
 
-_KEPT = 2  # stretches whose replays are kept: before and after an edit
+_KEPT = 2  # stretches with cached replays: before and after an edit
 
 
 @dataclass(slots=True, eq=False)
 class StretchHistory:
-    """A stretch of a session's time. `near`: a checkpoint more, at the frame that was last begun from."""
+    """The history of one stretch of a session. `near`: one extra checkpoint, at the frame of the last replay."""
 
     session: Session
     stretch: Stretch
@@ -40,7 +40,8 @@ class StretchHistory:
         return self.stretch.world(arrays, self.session.options, self.session.compiler.built)
 
     def hash(self, frame: int) -> str | None:
-        """Known of where the session stands, but where a param was set there that only the next step hears of."""
+        """Return the hash of the session's current frame, None for other frames. Also None if a param was set there, because it
+        takes effect in the next step."""
         here = self.session.timeline.at(frame) is self.stretch and self.session.frame == frame
         return self.session.hash if here and all(change.frame != frame for change in self.stretch.changes) else None
 
@@ -55,21 +56,21 @@ class StretchHistory:
 
 
 class Explainer:
-    """Explains agents of one session. What was worked out for a stretch of time is kept, so that the next one is quick."""
+    """Explains agents of one session. Results for a stretch of time are cached, so that the next one is fast."""
 
     def __init__(self, session: Session) -> None:
         self.session = session
         self._replays: list[tuple[Stretch, tuple[Change, ...], Replay]] = []
 
     def explain(self, agents: Sequence[tuple[str, int]], frame: int) -> list[Account | None]:
-        """What agents (species, id) did in the step to a frame, with their states over time; None for who did nothing in it.
-        ExplainError where that cannot be told."""
+        """Return what agents (species, id) did in the step to a frame, with their states over time; None for an agent that did
+        nothing in it. Raises ExplainError if that is unknown."""
         replay = self._replay(frame)
         for species, _ in agents:
             _known(species, replay.shot)
         history = replay.history
         assert isinstance(history, StretchHistory)
-        if frame - 1 not in history.near:  # whoever asks about one agent soon asks about another
+        if frame - 1 not in history.near:  # requests for other agents soon follow the first
             history.near = {frame - 1: checkpoint(replay.begin(frame))}
         return [
             None if found is None else replace(found, explanation=self._with_strip(found))
@@ -77,7 +78,7 @@ class Explainer:
         ]
 
     def message(self, species: str, agent: int, frame: int, named: Callable[[str], str] = str) -> dict[str, Any]:
-        """What a page is told that asks for one agent. `named`: what files are called there."""
+        """Return the message for a page that requests one agent. `named`: what files are called there."""
         found, why = None, ""
         try:
             [found] = self.explain([(species, agent)], frame)
@@ -96,7 +97,7 @@ class Explainer:
         }
 
     def _replay(self, frame: int) -> Replay:
-        """What can do the step to a frame again: that of the stretch in which the step began."""
+        """Return the replay for the step to a frame: that of the stretch in which the step began."""
         first, head = self.session.first, self.session.head
         if frame == first:
             raise ExplainError(f"frame {frame} is the first: no step led to it", f"ask at frame {frame + 1}, or later")
@@ -121,7 +122,7 @@ class Explainer:
         return replace(told, strip=strip, alive=alive)
 
     def _strip(self, species: str, agent: int) -> Iterator[StateStretch]:
-        """Its states in all frames that are remembered, machine after machine."""
+        """Yield the agent's states in all remembered frames, machine after machine."""
         seen: dict[str, list[tuple[int, str]]] = {}
         for frame, light in sorted(self.session.timeline.light.items()):
             if species not in light:

@@ -1,4 +1,4 @@
-"""Tells pages that ask for it what steps spend their time on. Steps are measured while such a page is there."""
+"""Sends pages the cost of steps, if they request it. Steps are measured while such a page exists."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from antdsl.preview.observing.observer import Stop
 
 _EVERY = 0.25  # seconds between two messages
-_LEAST = 5e-4  # ms a frame: a line that takes less is not told of
+_LEAST = 5e-4  # ms a frame: a faster line is not reported
 
 
 class Costs:
@@ -27,13 +27,13 @@ class Costs:
         self._told_at = -inf
 
     def switch(self, client: Client, on: bool) -> None:
-        """Tell a page from the next step on, or no longer."""
+        """Start or stop sending the costs to a page, from the next step on."""
         (self._asked.add if on else self._asked.discard)(client)
         self._told_at = -inf
         self._measure(self._live.session)
 
     def stepping(self, session: Session) -> None:
-        """The session's meter begins by itself."""
+        """The session's meter begins automatically."""
 
     def stepped(self, session: Session) -> Stop | None:
         if self._asked:
@@ -43,7 +43,7 @@ class Costs:
         return None
 
     def entered(self, session: Session) -> None:
-        """A session's meter goes along from world to world."""
+        """Move the session's meter to its new world."""
 
     def _measure(self, session: Session) -> None:
         if bool(self._asked) != (session.meter is not None):

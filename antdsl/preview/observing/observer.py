@@ -1,5 +1,5 @@
-"""Who looks on while a session goes on: hears of each step, may say that it stops there, and of each world that takes the place
-of another. Looking on changes nothing."""
+"""The interface of observers of a session. An observer sees each step, may stop there, and sees each world that replaces another.
+Observing changes nothing."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class Stop:
-    """Why it pauses, in words, and the agents of a species that it is about."""
+    """Why the session pauses, as text, and the agents concerned, of one species."""
 
     line: str
     species: str = ""
@@ -21,11 +21,11 @@ class Stop:
 
 class Observer(Protocol):
     def stepping(self, session: Session) -> None:
-        """Before each step that is followed by `stepped`."""
+        """Called before each step; `stepped` follows."""
 
     def stepped(self, session: Session) -> Stop | None:
-        """After each step that somebody asked for or that play made; not after those that a seek simulates again. It may add
-        numbers of its own to `session.timeline.curves[session.frame]`."""
+        """Observe a step that was requested or that play made; not those that a seek simulates again. It may add numbers to
+        `session.timeline.curves[session.frame]`."""
 
     def entered(self, session: Session) -> None:
-        """The session has another world than before: opened, reloaded, restarted, or gone back in time."""
+        """Called when the session has a new world: opened, reloaded, restarted, or moved back in time."""

@@ -52,4 +52,4 @@ class Notes:
         return None
 
     def entered(self, session: Session) -> None:
-        """A world that nobody has stepped has nothing to say."""
+        """Do nothing: a world without steps has nothing to say."""

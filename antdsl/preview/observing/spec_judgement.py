@@ -1,5 +1,5 @@
-"""Specs of the scene judged while it runs, as curves: each frame once, as it is first simulated. After an edit what is expected
-counts anew from that frame on, as nobody can say what a run that was two programs had to show."""
+"""Specs of the scene judged while it runs, as curves: each frame once, as it is first simulated. After an edit expectations start
+again from that frame, as a run of two programs has no defined expectations."""
 
 from __future__ import annotations
 
@@ -21,14 +21,14 @@ from antdsl.scene.paths import PathRefused, Roots
 from antdsl.specs.cases import Failure
 from antdsl.specs.judge import Judge
 
-_SHARE, _LITTLE = 0.1, 0.004  # of the time that a step takes, and seconds: what judging a spec may take unless it is wanted
+_SHARE, _LITTLE = 0.1, 0.004  # of the time that a step takes, and seconds: what judging a spec may take unless it is requested
 _WARM, _TRIED = 3, 24  # frames that are not counted, and those after which it is known
 CURVE = "spec: "
 
 
 @dataclass(slots=True, eq=False)
 class Judged:
-    """One spec: with a judge, or with `why` there is none; `plan` is None where there can be none here."""
+    """One spec, with a judge, or with `why` there is none. `plan` is None where no plan can exist."""
 
     name: str
     plan: SpecPlan | None = None
@@ -55,8 +55,8 @@ class Judged:
 
 
 class Specs:
-    """All specs of a session's program. `wanted` are those that are judged whatever it costs; `tell` gets a message whenever
-    one of them stands otherwise than before."""
+    """All specs of a session's program. `wanted` are those that are judged at any cost; `tell` gets a message whenever the status
+    of one changes."""
 
     def __init__(self, tell: Callable[[dict[str, Any]], None] = lambda message: None) -> None:
         self.tell, self.wanted = tell, frozenset[str]()
@@ -75,13 +75,13 @@ class Specs:
         self.wanted = frozenset(names)
 
     def known(self, shot: Shot, scene: Path) -> list[tuple[str, SpecPlan | str]]:
-        """The specs of a program by name, planned, or with why they are not judged here."""
+        """Return the specs of a program by name, each with its plan, or the reason why it is not judged here."""
         if self._plans is None or self._plans[0] is not shot:
             self._plans = shot, list(_planned(shot, scene))
         return self._plans[1]
 
     def entered(self, session: Session) -> None:
-        """Another world is noticed by its stretch, when it goes on."""
+        """Do nothing: another world is detected by its stretch at the next step."""
 
     def stepping(self, session: Session) -> None:
         self._follow(session)
@@ -99,7 +99,7 @@ class Specs:
         return None
 
     def _follow(self, session: Session) -> None:
-        """Judge the frame where the session is, if it is the first time that it is there."""
+        """Judge the session's current frame, if the session is there for the first time."""
         frame, shot = session.frame, session.shot
         if frame != session.head or frame < shot.frames.first:
             return
@@ -119,7 +119,7 @@ class Specs:
                 session.timeline.curves[frame].setdefault(CURVE + each.name, curve)
 
     def _begin(self, session: Session, which: Callable[[Judged], bool]) -> list[Judged]:
-        """Judge those that are not judged, and can be, from this frame on."""
+        """Judge, from this frame on, the matching specs that are not judged yet and can be."""
         begun = [each for each in self.judged if each.judge is None and each.plan is not None and which(each)]
         for each in begun:
             assert each.plan is not None
@@ -136,7 +136,7 @@ class Specs:
                 each.seconds += thread_time() - began
 
     def _let_go(self, each: Judged, step: float) -> None:
-        """Leave a spec unjudged that takes too long, while it has not failed and nobody waits for it to."""
+        """Stop judging a spec that takes too long, while it has not failed and no breakpoint waits for it."""
         if each.judge is None or each.frames < _TRIED or each.name in self.wanted or each.failure is not None:
             return
         takes = each.seconds / (each.frames - _WARM)
@@ -163,7 +163,7 @@ def _plan(spec: Spec, shot: Shot) -> SpecPlan | str:
 
 
 def _why_not(spec: Spec, shot: Shot, scene: Path) -> str:
-    """Why a spec is not about this run; empty where it is."""
+    """Return why a spec does not apply to this run; empty if it does."""
     if spec.scene is not None:
         try:
             place = Roots(Path(spec.span.source.path).resolve().parent, shot.scene.roots.granted).path(spec.scene.text)
@@ -181,7 +181,7 @@ def _why_not(spec: Spec, shot: Shot, scene: Path) -> str:
 
 
 def told(failure: Failure) -> str:
-    """A failure in one line: what was not so, of whom, with the values."""
+    """Return a failure in one line: what was not so, for which agent, with the values."""
     whom = ""
     if failure.agent is not None:
         more = f" and {failure.others} more" if failure.others else ""

@@ -1,6 +1,6 @@
-"""The page of a preview and its socket, over HTTP: who is let in, what is read, how much of it, and what waits for a slow client.
+"""Serves the page of a preview and its socket over HTTP: access control, input limits, and queues for slow clients.
 
-`server` needs websockets, the extra `[preview]`; the other files of this room work without it."""
+`server` needs websockets, the extra `[preview]`; the other files of this package work without it."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Where the server listens, by which names it may be called there, and what to open in a browser."""
+"""Where the server listens, the host names that it accepts, and the addresses to open in a browser."""
 
 from __future__ import annotations
 
@@ -38,13 +38,13 @@ class Listening:
 
 
 def is_loopback(host: str | None) -> bool:
-    """Whether only this machine can reach a host. CannotListen where nobody knows it."""
+    """Return whether only this machine can reach a host. Raises CannotListen if the host is unknown."""
     return host is None or all(ip_address(each).is_loopback for each in _found(host))
 
 
 def listen(host: str | None = None, port: int | None = None) -> Listening:
-    """Bound where only this machine is heard, or at `host`. Without a port the first from 8765 on that is free; 0 takes any.
-    CannotListen where a named port is taken, and for hosts that this machine does not have."""
+    """Bind sockets on the loopback interface, or at `host`. Without `port`, use the first free one from 8765 on; 0 takes any.
+    Raises CannotListen if a named port is taken, or if this machine does not have the host."""
     places = _LOOPBACK if host is None else _found(host)
     for candidate in (port,) if port is not None else range(PORT, PORT + _NEXT):
         try:
@@ -62,8 +62,8 @@ def listen(host: str | None = None, port: int | None = None) -> Listening:
 
 
 def _bound(places: Iterable[str], port: int) -> tuple[tuple[socket.socket, ...], int]:
-    """Sockets at all of the places, on one port. A place that this machine lacks is left out as long as there is another: one
-    that somebody else holds is not, or `localhost` would lead to them."""
+    """Return sockets at all addresses, on one port, and the port. An address that this machine lacks is left out if there is
+    another. One that another program holds is an error, or `localhost` would lead to that program."""
     made: list[socket.socket] = []
     absent: OSError | None = None
     try:
@@ -113,8 +113,8 @@ def _found(host: str) -> tuple[str, ...]:
 
 
 def _names(host: str | None, places: Iterable[str]) -> list[str]:
-    """Names that lead to this server and to no other: what was asked for, and its addresses. Who listens at every address is also
-    called by each address and name of the machine; a name that an attacker may choose is not among them."""
+    """Return names that lead to this server and to no other: the requested one, and its addresses. A server that listens at every
+    address is also called by each address and name of the machine. A name that an attacker may choose is not among them."""
     if host is None:
         return ["localhost", *_LOOPBACK]
     places = list(places)
@@ -132,7 +132,7 @@ def _open(host: str | None, places: Iterable[str], sockets: Iterable[socket.sock
 
 
 def _machine() -> list[str]:
-    """Addresses that others reach this machine by: those of its name, and those that it would send from."""
+    """Return addresses at which others reach this machine: those of its host name, and those that it would send from."""
     found: list[str] = []
     with suppress(OSError, UnicodeError):
         found += [str(each[4][0]) for each in socket.getaddrinfo(socket.gethostname(), None, type=socket.SOCK_STREAM)]

@@ -14,8 +14,8 @@ from antdsl import limits
 
 
 class Door:
-    """All connections of a server. Of those that nobody has let in yet only the youngest stay: whoever opens thousands and says
-    nothing drives out their own, and not the page that asks in time."""
+    """All connections of a server. Of those that are not admitted yet only the newest stay. A client that opens thousands and
+    sends nothing displaces its own, and not the page that authenticates in time."""
 
     def __init__(self) -> None:
         self._waiting: dict[Connection, None] = {}
@@ -53,8 +53,8 @@ class Door:
 
 
 class Connection(ServerConnection):
-    """Cut off when it sends frames too fast, pings among them, or a message in too many pieces: pieces may be empty, so their
-    bytes do not limit them."""
+    """A connection that is closed if the client sends frames too fast (pings included) or splits a message into too many
+    fragments. Fragments may be empty, so a byte limit alone does not bound them."""
 
     def __init__(self, door: Door, *args: Any, **options: Any) -> None:
         super().__init__(*args, **options)
@@ -85,7 +85,7 @@ class Connection(ServerConnection):
 
 
 class Bucket:
-    """Holds up to `most` and fills at `rate` a second; each thing takes one out. `clock` counts seconds."""
+    """A rate limiter: holds up to `most` tokens and gains `rate` per second; each event takes one. `clock` returns seconds."""
 
     def __init__(self, rate: float, most: float, clock: Callable[[], float] = monotonic) -> None:
         self._rate, self._most, self._clock = rate, most, clock

@@ -25,7 +25,7 @@ from pathlib import Path
 from antdsl.user_folders import make_private_folder, read_private, state_folder
 from antdsl.whole import write_whole
 
-_STARTS = 4  # whose keys are kept
+_STARTS = 4  # with stored keys
 _FILES = 64  # of scenes and ports; the oldest go
 _BYTES = 4096
 _KEY = re.compile(r"[A-Za-z0-9_-]{43}")
@@ -42,7 +42,7 @@ class Returning:
 
     @classmethod
     def of(cls, scene: Path, port: int, folder: Path | None = None) -> Returning | None:
-        """Of a server of a scene that begins now; None where nothing can be kept in private."""
+        """Return the record for a server of a scene that starts now; None if nothing can be stored in private."""
         try:
             name = sha256(f"{os.path.realpath(scene)}|{port}".encode("utf-8", "surrogateescape")).hexdigest()[:32]
             folder = folder or state_folder() / "antdsl" / "preview"
@@ -75,7 +75,7 @@ def _read(place: Path) -> tuple[str, ...]:
 
 
 def _write(place: Path, keys: Sequence[str]) -> None:
-    """Whole or not at all. Who makes the file is the only one to read it."""
+    """Write the keys atomically, readable by the file's owner only."""
     write_whole(place, json.dumps({"keys": list(keys)}).encode("ascii"), mode=0o600)
     with suppress(OSError):
         files = sorted(place.parent.glob("*.json"), key=lambda each: each.lstat().st_mtime)
@@ -85,15 +85,15 @@ def _write(place: Path, keys: Sequence[str]) -> None:
 
 class Verdict(Enum):
     IN = "in"
-    INVITED = "invited"  # by a code that is good for this once: it has to be told the token
+    INVITED = "invited"  # by a code that is good for this once: it has to receive the token
     STRANGER = "stranger"  # called by a wrong name, from a page of others, or by no page and without the token
-    WRONG_TOKEN = "wrong token"  # our own page, from before the server was started again: it is told so
+    WRONG_TOKEN = "wrong token"  # our own page, from before the server was restarted: it gets a message
 
 
 @dataclass(frozen=True, slots=True)
 class Guard:
-    """`names`: hosts with their port, as they stand in addresses: `localhost:8765`, `[::1]:8765`. `returning` where pages of a
-    server that is started again are let in again."""
+    """Checks hosts, origins and tokens. `names`: hosts with port as in addresses: `localhost:8765`, `[::1]:8765`. `returning`, if
+    set, admits pages again after a restart of the server."""
 
     names: frozenset[str]
     token: str = field(default_factory=lambda: secrets.token_urlsafe(32), repr=False)
@@ -108,18 +108,18 @@ class Guard:
         return code
 
     def host(self, given: Sequence[str]) -> bool:
-        """Whether a request came by one of the names, given its `Host` headers: exactly one is in order."""
+        """Return whether a request's `Host` headers are valid: exactly one, equal to one of the names."""
         return len(given) == 1 and given[0] in self.names
 
     def origin(self, given: Sequence[str]) -> bool | None:
-        """Whether the page that a request comes from is this server's; None where no page is named. `null` is no name: pages out
-        of files and sandboxes have it."""
+        """Return whether a request's page is this server's; None if no page is named. `null` is not a name: pages from files and
+        sandboxes send it."""
         if not given:
             return None
         return len(given) == 1 and given[0].removeprefix("http://") in self.names and given[0].startswith("http://")
 
     def page(self, hosts: Sequence[str], origins: Sequence[str]) -> bool:
-        """Whether the page may be loaded. It holds nothing that is secret, so no token is asked for."""
+        """Return whether the page may be loaded. It holds no secret, so no token is needed."""
         return self.host(hosts) and self.origin(origins) is not False
 
     def socket(self, hosts: Sequence[str], origins: Sequence[str], offered: Iterable[str]) -> Verdict:
@@ -140,5 +140,5 @@ class Guard:
 
 
 def _same(one: str, other: str) -> bool:
-    """Compared in a time that tells nothing of where they differ."""
+    """Compare two texts in a time that does not reveal where they differ."""
     return hmac.compare_digest(one.encode("utf-8", "surrogatepass"), other.encode())

@@ -1,6 +1,6 @@
-"""What waits to be sent to one client: messages in their order, and of each slot's packets only the latest.
+"""The outgoing queue of one client: messages in order, and only the latest packet of each slot.
 
-Filled by the thread that simulates, emptied by the server's; neither waits for the other."""
+The simulation thread fills it and the server's thread empties it; neither waits for the other."""
 
 from __future__ import annotations
 
@@ -25,7 +25,8 @@ class _Waiting:
 
 
 class Mailbox:
-    """`full` is called, on the loop, once more waits than the budgets allow: from then on nothing is taken any more."""
+    """The outgoing queue. `full` is called on the event loop once the queue exceeds its budget; after that, nothing is
+    accepted."""
 
     def __init__(
         self,
@@ -46,7 +47,7 @@ class Mailbox:
         self._woken = self._closed = False
 
     def tell(self, message: dict[str, Any]) -> None:
-        """Put a message at the end. `hello` has what only the server knows put in: which page there is."""
+        """Append a message. A `hello` gets what only the server knows: the build of the page."""
         if message.get("op") == "hello":
             message = {**message, **self._hello}
         text = json.dumps(message, ensure_ascii=False, allow_nan=False, separators=(",", ":"))
@@ -62,8 +63,8 @@ class Mailbox:
             self._look()
 
     def show(self, slot: str, packet: bytes) -> None:
-        """Put a packet where an earlier one of its slot still waits, else at the end. So a slot waits once at most, and none
-        waits longer because another has new packets all the time."""
+        """Replace the packet of the same slot that still waits, else append. So a slot waits at most once, and frequent packets
+        of one slot do not delay another."""
         with self._lock:
             if self._closed:
                 return
@@ -81,7 +82,7 @@ class Mailbox:
             self._look()
 
     async def next(self) -> str | bytes:
-        """What is to be sent next; waits for it. For one reader, on the loop."""
+        """Return the next message or packet to send; wait for one if there is none. For one reader, on the event loop."""
         while True:
             with self._lock:
                 found = self._take()

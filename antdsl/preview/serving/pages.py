@@ -1,4 +1,4 @@
-"""The files of the page, read once: each address that there is, what it answers, and a hash of all."""
+"""The files of the page, read once: every address with its response, and a hash of all."""
 
 from __future__ import annotations
 
@@ -17,15 +17,15 @@ _BUILD = b'<meta name="build" content="" />'
 
 @dataclass(frozen=True, slots=True)
 class Pages:
-    """`routes`: by the address as it stands in a request, its type and body. An address is looked up here and nowhere else: none
-    is ever made into the name of a file."""
+    """The page's files. `routes`: type and body by the address as in a request. Addresses are looked up only here, and are never
+    turned into file names."""
 
     routes: dict[str, tuple[str, bytes]]
     build: str
 
 
 def pages() -> Pages:
-    """The page as it was installed. OSError where its files are missing."""
+    """Return the installed page. Raises OSError if its files are missing."""
     bodies = {name: page_file(name).read_bytes() for name in _FILES}
     hashed = sha256()
     for name in _FILES:

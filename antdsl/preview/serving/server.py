@@ -61,13 +61,13 @@ _STUCK = 60.0  # seconds for one packet to go out
 _QUIET = 20.0  # seconds between pings, and for their answers
 _PATIENCE = (5, 100)  # asks too many in a second, and at once, after which a client has to go
 
-# Whoever floods the server must not flood the terminal.
+# A flood of the server must not flood the terminal.
 _SILENT = logging.getLogger("antdsl.preview.serving")
 
 
 @dataclass(frozen=True, slots=True)
 class Refused:
-    """`of`: the op, as far as there is one that exists."""
+    """A rejected request. `of`: its op, if that exists."""
 
     of: str
     message: str
@@ -78,7 +78,7 @@ class Refused:
 
 
 def read(text: str) -> Ask | Refused:
-    """The ask in a message. What a message says is never repeated, but for names of ops and of their parts."""
+    """Return the request in a message. Errors never repeat the message's content, except names of ops and their fields."""
     try:
         return ASK.validate_json(text)
     except ValidationError as why:
@@ -100,7 +100,7 @@ _SILENT.propagate = False
 
 
 class Answers(Protocol):
-    """What the server needs of who simulates: `antdsl.preview.live.Live`, thread-safe, never waiting."""
+    """What the server needs of the simulation: `antdsl.preview.live.Live`, thread-safe, never blocking."""
 
     def ask(self, ask: Ask, client: Client) -> None: ...
     def join(self, client: Client) -> None: ...
@@ -141,7 +141,7 @@ class Server:
             try:
                 yield
             finally:
-                # the library says goodbye and waits until that is sent, which it never is where nobody reads
+                # the library says goodbye and waits until that is sent, which never happens without a reader
                 asyncio.get_running_loop().call_later(_CLOSE, self._door.hang_up)
 
     # --- requests ------------------------------------------------------------------------------------------------------
@@ -195,7 +195,7 @@ class Server:
                 await sender
 
     async def _comes_back(self, connection: ServerConnection) -> bool:
-        """Whether a page of ours with a wrong token proves that it was let in before this server was started again."""
+        """Return whether one of our pages with a wrong token proves that it was admitted before the server restarted."""
         returning = self._guard.returning
         if returning is None or not returning.before or connection.request is None:
             return False
@@ -208,7 +208,7 @@ class Server:
             return False
 
     async def _hear(self, connection: ServerConnection, mailbox: Mailbox) -> None:
-        """Read asks until the client has gone, or has to go."""
+        """Read requests until the client disconnects or must be disconnected."""
         bucket = Bucket(limits.PREVIEW_ASKS_A_SECOND, 2 * limits.PREVIEW_ASKS_A_SECOND)
         patience, tell = Bucket(*_PATIENCE), Bucket(1, 1)
         with suppress(ConnectionClosed):
@@ -244,7 +244,7 @@ class Server:
 
 
 async def _send(connection: ServerConnection, mailbox: Mailbox) -> None:
-    """Send what waits, one after the other: the next is chosen when the last is out, so that a slow client has the latest."""
+    """Send the waiting messages one by one. The next is chosen only after the last was sent, so a slow client gets the latest."""
     try:
         while True:
             item = await mailbox.next()
@@ -257,7 +257,7 @@ async def _send(connection: ServerConnection, mailbox: Mailbox) -> None:
 
 
 async def _let_go(connection: ServerConnection, code: CloseCode, why: str) -> None:
-    """Say goodbye to a client that may not be listening."""
+    """Close a connection with a code and a reason; the client may not respond."""
     with suppress(TimeoutError):
         async with asyncio.timeout(_CLOSE):
             await connection.close(code, why)
@@ -277,7 +277,7 @@ def _answer(
 
 
 def _with_headers(connection: ServerConnection, request: Request, response: Response) -> None:
-    """Put what every answer says on an answer, also on those that the library gives itself."""
+    """Add the common headers to a response, also to those that the library creates."""
     for name, value in HEADERS:
         response.headers[name] = value
 

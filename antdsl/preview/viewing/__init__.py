@@ -1,1 +1,1 @@
-"""What pages are shown of a session, and told about it."""
+"""What pages show of a session, and the messages about it."""

@@ -30,7 +30,7 @@ from antdsl.runtime.feet.trunk import quaternions
 
 _LENGTH = 4096  # steps in a body's length
 _ONE = 32767
-_DOWN = 15  # feet of which it is told whether they stand
+_DOWN = 15  # feet with a bit for whether they stand
 Floats = NDArray[np.float32]
 NONE = 65535  # the number of no clip
 _WHOLE = 65535  # one turn of a clip, or a weight of 1
@@ -38,7 +38,7 @@ Arrays = dict[str, NDArray[Any]]
 
 
 def remember(session: Session) -> None:
-    """Keep what bodies do at the session's frame beside the places that are remembered of it, once."""
+    """Store the poses of the session's frame with its light frame, once."""
     world, lights = session.world, session.shown(session.frame)
     if lights is not None and session.frame not in session.timeline.poses:
         found = {name: _posed(session, each, lights[name]) for name, each in world.populations.items() if name in lights}
@@ -46,7 +46,7 @@ def remember(session: Session) -> None:
 
 
 def remembered(session: Session, frame: int) -> dict[str, Arrays]:
-    """What is kept of what bodies did at a frame, by species, of those that have the bodies and clips now that they had then."""
+    """Return the stored actions of bodies at a frame, by species, if the species has the same bodies and clips now."""
     found = {}
     for name, then in session.timeline.poses.get(frame, {}).items():
         population = session.world.populations.get(name)
@@ -61,10 +61,10 @@ def _posed(session: Session, population: Population, light: Light) -> Posed:
 
 
 def acts(world: World, shot: Shot, population: Population, light: Light) -> Arrays:
-    """`SPECIES/plays/MACHINE` of machines that play; of who has such `SPECIES/wears` uint32[n] (a bit for each layer),
-    `SPECIES/look/GROUP` int8[n, 3] (127 is 1) and `SPECIES/lean` the same (turn, slope, 0), `SPECIES/trait/K` float32[n, 3]
-    (three of what bodies differ by, in order); `SPECIES/feet` and `SPECIES/stance`
-    where feet are worked out. `light`: what else a frame tells of these agents, by id."""
+    """Return what bodies do, as arrays. `SPECIES/plays/MACHINE` of machines that play. For bodies with them, `SPECIES/wears`
+    uint32[n] (a bit for each layer), `SPECIES/look/GROUP` int8[n, 3] (127 is 1) and `SPECIES/lean` the same (turn, slope, 0).
+    `SPECIES/trait/K` float32[n, 3]: three of the values that bodies differ by, in order. `SPECIES/feet` and `SPECIES/stance`
+    where feet are computed. `light`: the rest of the frame about these agents, by id."""
     name, rows = population.name, population.in_id_order()
     worn = outfit(world, shot, population)
     told = clips_playing(population, rows)
@@ -129,7 +129,7 @@ def blended_by(
     said: Mapping[str, NDArray[Any]],
     lean: NDArray[Any] | None = None,
 ) -> NDArray[np.float32]:
-    """How much of each target of blend shapes agents have, float32[n, T], by the clips that they play and by what is said of
+    """Return the weights of blend-shape targets of each agent, float32[n, T], from the clips that they play and the values of
     channels."""
     table, groups = channel_table(worn.definition)
     plays = (*worn.plays, Played(worn.definition.idle))
@@ -153,9 +153,9 @@ def _standing(world: World, name: str, worn: Outfit, light: Light, machines: tup
 
 
 def packed(told: MachineClips, loops: NDArray[np.bool_]) -> NDArray[np.uint16]:
-    """What one machine of n agents plays, uint16[n, 3, k]: numbers, how far through, and weights of the clip and of the one
-    before; k is 2, and where anybody still plays the one before that, 3. `loops`: of each clip that the species plays, and False
-    for none; one that does not ends with its last sample."""
+    """Return the clips that one machine of n agents plays, uint16[n, 3, k]: numbers, progress, and weights of the clip and the
+    previous one. k is 2, or 3 if any agent still plays the clip before the previous one. `loops`: whether each clip of the
+    species loops, and False for none. A clip that does not loop ends with its last sample."""
     slots = list(told.slots())[::-1]
     if not slots[-1][2].any():
         slots.pop()
@@ -171,12 +171,16 @@ def packed(told: MachineClips, loops: NDArray[np.bool_]) -> NDArray[np.uint16]:
 
 
 def stances(legs: Legs, feet: Feet, light: Light, stands: Floats) -> dict[str, NDArray[np.int16]]:
-    """`feet` int16[n, L, 3]: where each foot joint is to be beside a body whose trunk is not moved, 4096 to a body's length,
-    ahead, above and aside; `stance` int16[n, 6]: how much the trunk is raised, the x, y and z of its turn, how much feet stand
-    (32767 is 1), and a bit for each foot that does. `light`: where these agents are shown, `stands` [n]: how much clips leave
-    feet where they stand.
+    """Return the stances of bodies as integers, with two arrays.
 
-    Bodies stand as pages turn them, by directions of three bytes, so that a foot that stands does not shake with these."""
+    `feet` int16[n, L, 3]: where each foot joint is to be relative to a body with an unmoved trunk, 4096 to a body's length,
+    ahead, above and aside.
+
+    `stance` int16[n, 6]: how much the trunk is raised, the x, y and z of its turn, how much feet stand (32767 is 1). The last has
+    a bit for each foot that stands. `light`: where these agents are displayed. `stands` [n]: how much clips leave feet where they
+    stand.
+
+    Bodies stand as pages turn them, by directions of three bytes, so that a standing foot does not shake with these."""
     size = np.where(light.size > 0, light.size, 1).astype(np.float32)
     rise = feet.rise / size * stands
     tilt = quaternions(feet.slope) * stands[:, None]
@@ -196,7 +200,7 @@ def stances(legs: Legs, feet: Feet, light: Light, stands: Floats) -> dict[str, N
 
 
 def _frames(light: Light) -> Floats:
-    """Columns ahead, above and aside of agents, float32[3, 3, n], as pages make them."""
+    """Return the columns forward, up and sideways of agents, float32[3, 3, n], computed as pages do."""
     up = unit_or(light.up.astype(np.float64), np.array([0.0, 1.0, 0.0])).astype(np.float32)
     ahead = light.heading.astype(np.float32)
     ahead -= up * (ahead * up).sum(axis=1, keepdims=True)

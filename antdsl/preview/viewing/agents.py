@@ -1,4 +1,4 @@
-"""The packet of each frame: agents by id, items with their amounts, and the feelers of those who are followed."""
+"""The packet of each frame: agents by id, items with their amounts, and the feelers of followed agents."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ Arrays = dict[str, NDArray[Any]]
 
 
 class Agents:
-    """The slot `frame`. Turns are unit vectors times 127, speeds mm/s, columns in the unit that the scene message says."""
+    """The slot `frame`. Directions are unit vectors times 127, speeds mm/s, columns in the unit that the scene message names."""
 
     def __init__(self) -> None:
         self._last: tuple[World | None, int, int | None, Wanted] = (None, 0, None, Wanted())
@@ -75,7 +75,7 @@ def _speed(population: Population) -> NDArray[np.float32]:
 
 
 def _factors(world: World, program: Program, wanted: Wanted) -> dict[tuple[str, str], float]:
-    """What the columns that are looked at are multiplied with, of those that there are."""
+    """Return the factors of the requested columns that exist."""
     found = {}
     for species, name in sorted(wanted.columns):
         declared = {each.name: each for each in program.species[species].attributes} if species in program.species else {}
@@ -85,7 +85,7 @@ def _factors(world: World, program: Program, wanted: Wanted) -> dict[tuple[str, 
 
 
 def _feelers(world: World, program: Program, wanted: Wanted) -> tuple[Arrays, list[tuple[str, int, int]]]:
-    """Those of all who are followed, one after the other; and whose they are, with how many."""
+    """Return the feelers of all followed agents, one after the other, and the agents, with how many each has."""
     found = [(who, felt(world, program, who.species, who.agent)) for who in wanted.followed]
     found = [(who, arrays) for who, arrays in found if arrays]
     whose = [(who.species, who.agent, len(arrays["feelers"])) for who, arrays in found]
@@ -105,8 +105,8 @@ def _items(world: World, program: Program) -> Arrays:
 
 
 def _renumbered(arrays: Arrays, then: Plan, now: Plan) -> Arrays:
-    """States by their numbers in the program that pages know, which may be another than the one that they are remembered of; 255
-    for those that it does not have."""
+    """Return the states renumbered from the remembered program to the one that pages know; 255 for states that it does not
+    have."""
     for name, species in then.species.items() if then is not now else ():
         known = {machine.name: machine.states for machine in now.species[name].machines} if name in now.species else {}
         for machine in species.machines:
@@ -127,8 +127,8 @@ def _remembered(lights: Mapping[str, Light]) -> Arrays:
 
 
 def felt(world: World, program: Program, species: str, agent: int) -> dict[str, NDArray[Any]]:
-    """`feelers` float32 (k, 2, 3), from the agent to where each ends or hits first, and `feelers/hit` uint8 (k). Nothing of an
-    agent that is not there."""
+    """Return `feelers` float32 (k, 2, 3), from the agent to the end or first hit of each, and `feelers/hit` uint8 (k). Empty if
+    the agent does not exist."""
     population = world.populations.get(species)
     row = int(population.rows_of(np.array([agent]))[0]) if population is not None else -1
     if population is None or row < 0:

@@ -34,7 +34,7 @@ MOST_TARGETS = 48  # of blend shapes, that pages know
 
 
 class Rigs:
-    """The slots `rig:SPECIES`: again where the body of a species, or what it plays, has become another one."""
+    """The slots `rig:SPECIES`. Sent again if the body of a species, or the clips that it plays, changed."""
 
     def __init__(self) -> None:
         self._given: dict[str, tuple[Outfit, tuple[str, ...]]] = {}
@@ -49,9 +49,8 @@ class Rigs:
 
 @dataclass(frozen=True, slots=True)
 class Outfit:
-    """What agents of a species can do with their bodies: the `plays` of their states (clip and transform group), the `layers`
-    that some wear beside the body's own, the transform groups that they look with; whether
-    clips give way to others as they turn and climb."""
+    """The abilities of a species' bodies: the `plays` of its states (clip and transform group), the `layers` that some agents
+    wear in addition to the body's own, and the transform groups of `look`. Also, whether clips blend with turn and slope."""
 
     definition: Definition
     plays: tuple[Played, ...] = ()
@@ -61,7 +60,7 @@ class Outfit:
 
 
 def outfit(world: World, shot: Shot, population: Population) -> Outfit:
-    """That of a species; of more layers than pages have room for, the first."""
+    """Return the outfit of a species. Layers beyond the limit of pages are dropped."""
     plan, definition = population.plan, body_of_species(shot, population.name)
     layers = tuple(name for name in layers_worn(population, world.setting) if name in definition.layers)[:MOST_LAYERS]
     looks = tuple(name for name in plan.looks if name in definition.groups)
@@ -70,8 +69,8 @@ def outfit(world: World, shot: Shot, population: Population) -> Outfit:
 
 
 def rig_packet(species: str, worn: Outfit, machines: tuple[str, ...] = ()) -> bytes:
-    """The packet of a species: its clips, and its mesh as crowds and as those who are near have it. `idle`: the number of the
-    clip that lies below all others and the seconds that it takes; none where there is no such clip."""
+    """Return the packet of a species: its clips, and its mesh for crowds and for near agents. `idle`: the number of the base clip
+    below all others, and its seconds; absent if there is no such clip."""
     arrays, header = _rig(worn)
     return pack(f"rig:{species}", arrays, machines=list(machines), **header)
 
@@ -84,8 +83,8 @@ def posed_body(worn: Outfit) -> PosedBody:
 
 @dataclass(frozen=True, slots=True)
 class Traits:
-    """What the bodies of agents differ by beside what they play, each a number: how much of each target of blend shapes there
-    is, how large transform groups are, where on the way through its colours each material lies."""
+    """The traits in which bodies of agents differ apart from clips, each a number: weights of blend-shape targets, sizes of
+    transform groups, and the position of each material in its range of colours."""
 
     targets: tuple[Target, ...] = ()
     scales: tuple[str, ...] = ()
@@ -98,7 +97,7 @@ class Traits:
 
 @lru_cache(maxsize=8)
 def traits(worn: Outfit) -> Traits:
-    """Those of an outfit; of more targets than pages have room for, the first."""
+    """Return the traits of an outfit. Targets beyond the limit of pages are dropped."""
     targets = dict.fromkeys(each for level in _levels(worn).values() for each in _targets(level))
     varied = worn.definition.variation
     return Traits(tuple(targets)[:MOST_TARGETS], tuple(varied.scales), tuple(varied.materials))
@@ -135,15 +134,19 @@ def _rig(worn: Outfit) -> tuple[Arrays, dict[str, Any]]:
 
 
 def _texels(table: ClipTable) -> int:
-    """Of four numbers each, that a joint has in a sample: translation, rotation, and scale and shear where there are any."""
+    """Return the number of texels (four numbers each) per joint and sample: translation, rotation, and scale and shear if there
+    are any."""
     return 2 + table.scaled + table.sheared
 
 
 def _clips(table: ClipTable, definition: Definition, plays: tuple[Played, ...]) -> Arrays:
-    """`sample` float32[R, J, texels, 4], the rest pose first; `parent` int32[J], joints by depth; `clip` int32[P, 3, 4]: the
-    first sample (-1 of a clip that the body does not have), how many, 1 where it loops and 2 where it is added, its transform
-    group; then first samples and how many of the clips to the left and the right, up and down, that it gives way to. `group`
-    float32[G, J]: weights of joints, first those of the whole rig."""
+    """Return the arrays of the clips.
+
+    - `sample` float32[R, J, texels, 4]: the rest pose first.
+    - `parent` int32[J]: joints by depth.
+    - `clip` int32[P, 3, 4]: the first sample (-1 if the body lacks the clip), the number of samples, flags (1 loops, 2 is
+      added), the transform group; then first samples and numbers of samples of its left and right, up and down variants.
+    - `group` float32[G, J]: weights of joints, first those of the whole rig."""
     joints, kept = len(table.order), [np.array([0])]
     groups = ["", *sorted({each.on for each in plays} - {""})]
     places: dict[str, tuple[int, int]] = {}
@@ -178,7 +181,7 @@ def _clips(table: ClipTable, definition: Definition, plays: tuple[Played, ...]) 
 
 
 def _by_depth(table: ClipTable, groups: Sequence[Iterable[tuple[int, float]]]) -> NDArray[np.float32]:
-    """Weights of joints by number, for each of G groups, as float32[G, J] of joints by depth."""
+    """Return the joint weights of G groups as float32[G, J], joints by depth. The input has joints by number."""
     found = np.zeros((len(groups), len(table.order)), np.float32)
     for k, group in enumerate(groups):
         for joint, weight in group:
@@ -197,8 +200,8 @@ def _variation(definition: Definition, differ: Traits, table: ClipTable) -> Arra
 
 
 def _varied(level: PosedBody, differ: Traits) -> Arrays:
-    """`target` float32[T, v, 6]: what each target of blend shapes adds to places and normals; `paint` float32[v, 2]: the trait
-    that the colour of a vertex goes by, -1 where it does not vary, and the first of its colours."""
+    """Return `target` float32[T, v, 6]: the offsets of each blend-shape target to positions and normals. Also `paint` float32[v,
+    2]: the trait that selects a vertex's colour (-1 if it does not vary), and the first of its colours."""
     found, count = _targets(level), len(level.mesh.points)
     none = np.zeros((count, 6), np.float32)
     paint = np.full((count, 2), -1, np.float32)
@@ -210,7 +213,7 @@ def _varied(level: PosedBody, differ: Traits) -> Arrays:
 
 
 def _depths(table: ClipTable) -> NDArray[np.int32]:
-    """The place of each joint of the rig among joints by their depth."""
+    """Return the index of each joint of the rig in the order by depth."""
     place = np.empty(len(table.order), np.int32)
     place[table.order] = np.arange(len(table.order))
     return place
@@ -227,7 +230,7 @@ def _legs(legs: Legs | None, table: ClipTable) -> Arrays:
 
 
 def _parts(legs: Legs | None, joints: int) -> NDArray[np.int32]:
-    """Of each joint of the rig the part of a leg that it is: three times the leg and 1 thigh, 2 shank, 3 foot; 0 of none."""
+    """Return the leg part of each joint of the rig: three times the leg plus 1 for thigh, 2 for shank, 3 for foot; 0 for none."""
     found = np.zeros(joints, np.int32)
     for number, each in enumerate(legs.chains if legs is not None else ()):
         for piece, those in enumerate((each.thigh, each.shank, each.sole), 1):
@@ -236,9 +239,12 @@ def _parts(legs: Legs | None, joints: int) -> NDArray[np.int32]:
 
 
 def _mesh(body: PosedBody, table: ClipTable) -> Arrays:
-    """`position` and `normal` float32[v, 3] in the rest pose, `face` uint32[m, 3], `colour` uint8[v, 4] (linear colours as square
-    roots, and how much of the agent's own), `bone` uint8 or uint16[v, 4], `weight` uint8[v, 4]; `joint` int32[B] by depth and
-    `inverse` float32[B, 3, 4] of the bones."""
+    """Return the arrays of the mesh.
+
+    - `position` and `normal` float32[v, 3] in the rest pose; `face` uint32[m, 3].
+    - `colour` uint8[v, 4]: square roots of linear colours, and the share of the agent's own colour.
+    - `bone` uint8 or uint16[v, 4]; `weight` uint8[v, 4].
+    - `joint` int32[B] by depth and `inverse` float32[B, 3, 4] of the bones."""
     mesh = body.mesh
     place = np.append(_depths(table), -1)  # of a bone without a joint: -1
     colour = np.sqrt(np.clip(np.column_stack([body.own, np.square(body.tint)]), 0, 1))
@@ -257,7 +263,7 @@ def _mesh(body: PosedBody, table: ClipTable) -> Arrays:
 
 
 def body_of_species(shot: Shot, species: str) -> Definition:
-    """The body of a species: its own file's, else the one of the library that the scene asks for, or that suits the name."""
+    """Return the body of a species: from its own file, else the library body that the scene requests or that matches the name."""
     own = shot.bodies.get(species)
     if own is not None:
         return own

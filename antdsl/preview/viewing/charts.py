@@ -11,14 +11,14 @@ from antdsl.program.model import Program
 
 
 class Charts:
-    """The charts of a program. `need` says what to install where none can be laid out."""
+    """The charts of a program. `need` names the package to install if charts cannot be laid out."""
 
     def __init__(self) -> None:
         self.need = ""
         self._laid: dict[Chart, PlacedChart] = {}
 
     def known(self, program: Program) -> bool:
-        """Whether the charts of a program need no new layout."""
+        """Return whether the existing layouts cover the charts of a program."""
         return all(_plain(chart) in self._laid for chart in graphs.charts(program))
 
     def of(self, program: Program) -> list[dict[str, Any]]:
@@ -38,7 +38,7 @@ class Charts:
 
 
 def _plain(chart: Chart) -> Chart:
-    """A chart less the places in its file: what a layout goes by."""
+    """Return a chart without its positions in the file: the input of a layout."""
     boxes = tuple(replace(box, details="", colour=(0.0, 0.0, 0.0)) for box in chart.boxes)
     return replace(chart, boxes=boxes, arrows=tuple(replace(arrow, details="") for arrow in chart.arrows))
 

@@ -1,4 +1,4 @@
-"""Curves of counts, totals and specs over time, told as they grow."""
+"""Curves of counts, totals and specs over time, sent as they grow."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Any
 
 from antdsl.preview.timeline import Branch, Timeline
 
-_MOST, _BESIDE = 4000, 1000  # points of a history, and of a branch: of a longer one every so many frames are told
+_MOST, _BESIDE = 4000, 1000  # points of a history, and of a branch: of a longer one every so many frames are sent
 
 
 class Told:
@@ -17,16 +17,16 @@ class Told:
     def __init__(self) -> None:
         self._timeline: Timeline | None = None
         self._upto: int | None = None
-        self._had = 0  # the last frame that was told, anew or not
+        self._had = 0  # the last frame that was sent, again or not
         self._branches: list[Branch] = []
 
     def forget_from(self, frame: int) -> None:
-        """A frame and what follows are measured anew."""
+        """Send a frame and what follows again: they are measured again."""
         if self._upto is not None and self._upto >= frame:
             self._upto = frame - 1
 
     def news(self, timeline: Timeline) -> dict[str, Any] | None:
-        """What pages do not have yet; None when there is nothing."""
+        """Return what pages do not have yet, or None."""
         if timeline is not self._timeline or timeline.branches != self._branches or self._upto is None:
             return self.all_of_it(timeline)
         fresh = []
@@ -41,7 +41,7 @@ class Told:
         return _message(again, {frame: timeline.curves[frame] for frame in reversed(fresh)}, None)
 
     def all_of_it(self, timeline: Timeline) -> dict[str, Any]:
-        """The whole history with its branches; from now on pages have it."""
+        """Return the whole history with its branches, and mark it as sent."""
         self._timeline, self._branches = timeline, list(timeline.branches)
         self._upto = self._had = timeline.head
         branches = [
@@ -56,7 +56,7 @@ def _message(reset: bool, curves: Mapping[int, Mapping[str, float]], branches: l
 
 
 def _columns(curves: Mapping[int, Mapping[str, float]]) -> dict[str, Any]:
-    """One list a name; null where a frame has no such number."""
+    """Return one list per name, with null for frames that lack the number."""
     names = dict.fromkeys(name for values in curves.values() for name in values)
     return {"frames": list(curves), "values": {name: [_told(values.get(name)) for values in curves.values()] for name in names}}
 
@@ -66,7 +66,7 @@ def _told(value: float | None) -> float | None:
 
 
 def thinned(curves: Mapping[int, Mapping[str, float]], most: int) -> Mapping[int, Mapping[str, float]]:
-    """At most so many of them, evenly, the last among them."""
+    """Return at most `most` of the curves' frames, evenly spaced, including the last."""
     if len(curves) <= most:
         return curves
     frames = list(curves)

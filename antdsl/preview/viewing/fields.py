@@ -20,7 +20,7 @@ Floats = NDArray[np.float64]
 
 _MOST = 150_000  # vertices of one field's mesh, about: finer cells are shown more coarsely
 _NEAREST = 4  # cells that a vertex is mixed from
-_BESIDE = 1.5  # cells' sizes from the nearest vertex on from which a cell gets a square of its own
+_BESIDE = 1.5  # cells' sizes from the nearest vertex on from which a cell gets its own square
 _SOFT = 0.15  # of a cell: nearer than so a vertex counts as in the middle
 _EVERY = 0.125  # seconds between two showings while it plays
 _MESH_EVERY = 1.0  # the same of meshes that grow
@@ -29,12 +29,13 @@ LEAST, DECADES = 1e-8, 16  # the values that a byte can tell: 1 is the least of 
 
 
 def full(limit: float) -> float:
-    """What is shown as full at first. It goes by the program alone, so that a frame looks the same whatever was played before."""
+    """Return the initial value that is displayed as full. It depends only on the program, so that a frame always looks the
+    same."""
     return float(limit) if np.isfinite(limit) and limit > 1e-3 else _FULL
 
 
 def in_bytes(values: NDArray[np.float32]) -> NDArray[np.uint8]:
-    """Values on a scale of powers of ten, with steps of 16 %: 0 for what is below `LEAST`."""
+    """Return values on a logarithmic scale with steps of 16 %; 0 for values below `LEAST`."""
     there = values >= LEAST
     level = 1 + np.log10(np.where(there, values, LEAST) / LEAST) * (254 / DECADES)
     return np.where(there, np.clip(np.rint(level), 1, 255), 0).astype(np.uint8)
@@ -61,7 +62,7 @@ class Fields:
             if moving != self._moving:
                 self._moving = moving
                 self._cells.clear()
-        for gone in self._meshes.keys() - set(wanted):  # asked for again it is sent again
+        for gone in self._meshes.keys() - set(wanted):  # a new request sends it again
             del self._meshes[gone]
             self._cells.pop(gone, None)
             self._shown.pop(gone, None)
@@ -102,8 +103,8 @@ class Carried:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FieldMesh:
-    """Vertices float32 (n, 3), faces uint32 (m, 3); each vertex shows the cells `cell` int64 (n, 4), mixed by `share` (n, 4).
-    Vertices are where they were at the first frame; those of `carried` move."""
+    """The mesh of a field. Vertices float32 (n, 3), faces uint32 (m, 3). Each vertex shows the cells `cell` int64 (n, 4), blended
+    by `share` (n, 4). Vertices are at their positions of the first frame; those of `carried` move."""
 
     position: NDArray[np.float32]
     face: NDArray[np.uint32]
@@ -126,7 +127,7 @@ class FieldMesh:
 
 
 def cells_in_use(field: Any) -> int:
-    """Cells that are somewhere: ground that is dug has room for more."""
+    """Return the number of cells that have a position. The arrays of a diggable ground have spare cells."""
     return field.cells.used if isinstance(field.cells, GrowingCells) else len(field.cells)
 
 
@@ -156,7 +157,7 @@ def field_mesh(world: World, name: str) -> FieldMesh:
 
 
 def _ground(world: World, name: str, cell: float) -> tuple[Floats, NDArray[np.int64], tuple[Carried, ...], float]:
-    """The field's meshes at the first frame, cut to edges of about a cell; what of them moves; how long edges are at most."""
+    """Return the field's meshes at the first frame, cut to edges of about one cell; their moving vertices; the longest edge."""
     asked, setting = world.plan.fields[name].surfaces, world.setting
     made = [each for each in setting.surfaces if not asked or each in asked]
     rest = [setting.surfaces[each].vertices - world.origin for each in made]
@@ -181,7 +182,7 @@ def _area(vertices: Floats, faces: NDArray[np.int64]) -> float:
 
 
 def _cut(vertices: Floats, faces: NDArray[np.int64], edge: float) -> tuple[Floats, NDArray[np.int64], NDArray[np.int64]]:
-    """Vertices and faces of the mesh cut finer, and the face that each is a part of."""
+    """Return vertices and faces of the refined mesh, and the original face of each new face."""
     from trimesh.remesh import subdivide_to_size
 
     points, cut, of = subdivide_to_size(vertices, faces, edge, max_iter=20, return_index=True)  # type: ignore[no-untyped-call]
@@ -197,7 +198,7 @@ def _carried(
     vertices: Floats,
     faces: NDArray[np.int64],
 ) -> Carried:
-    """Each point in a triangle that it is a corner of a part of."""
+    """Return the vertices of a moving mesh: for each point a triangle that contains it, and its weights."""
     from trimesh.triangles import points_to_barycentric
 
     face = np.zeros(len(points), np.int64)
@@ -207,7 +208,7 @@ def _carried(
 
 
 def _mixed(points: Floats, way: Floats, places: Floats, normals: Floats, cell: float) -> tuple[NDArray[np.int64], Floats]:
-    """The cells next to points on their side, and the share of each: less the further off."""
+    """Return the nearest cells of each point that face its side, and the share of each, which falls with distance."""
     from scipy.spatial import cKDTree
 
     distance, near = cKDTree(places).query(points, k=[min(k, len(places)) for k in range(1, _NEAREST + 1)])

@@ -17,7 +17,7 @@ from antdsl.runtime import World
 from antdsl.runtime.moving.moving_geometry import vertices_at
 from antdsl.scene.setting import MeshData, SolvedFlow
 
-_SIDE = 2  # bricks side by side in a piece
+_SIDE = 2  # bricks per edge of a piece
 _EVERY = 0.1  # seconds between two showings while it plays
 _AGAIN = 1.0  # seconds after which flows that are solved while it runs are shown again
 
@@ -69,7 +69,7 @@ class Meshes:
 
 
 class Curves:
-    """The slots `curve:NAME`; those that move in each frame."""
+    """The slots `curve:NAME`. Moving curves are sent in each frame."""
 
     def __init__(self) -> None:
         self._world: World | None = None
@@ -92,7 +92,7 @@ class Curves:
 
 
 class Flows:
-    """The slots `flow:NAME` of those that some page looks at."""
+    """The slots `flow:NAME` of the flows that a page displays."""
 
     def __init__(self) -> None:
         self._world: World | None = None
@@ -119,7 +119,7 @@ class Flows:
 
 
 class Solids:
-    """The slots `solid:NAME:N`; a packet without faces takes a piece away."""
+    """The slots `solid:NAME:N`. A packet without faces removes a piece."""
 
     def __init__(self) -> None:
         self._volumes: dict[str, Volume] = {}
@@ -157,7 +157,7 @@ class Solids:
                 yield from self._given(name, piece, [], volume)
 
     def _given(self, name: str, piece: int, bricks: Iterable[Piece], volume: Volume) -> Packets:
-        """The packet of a piece; nothing for one that has no faces and never had."""
+        """Return the packet of a piece; nothing for a piece without faces that is not displayed."""
         vertices, faces = joined(list(bricks))
         if not len(faces) and (name, piece) not in self._shown:
             return

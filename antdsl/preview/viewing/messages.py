@@ -1,4 +1,4 @@
-"""The messages about a session but the scene's own: what is said, not what is shown."""
+"""The messages about a session, except the scene message: texts and states, not arrays."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ Message = dict[str, Any]
 
 
 def hello(live: Live) -> Message:
-    """`build` is empty here: the server knows which page it has."""
+    """Return the `hello` message. `build` is empty here: the server fills it in."""
     return {"op": "hello", "version": __version__, "build": "", "scene": scene_file(live)}
 
 
@@ -42,12 +42,12 @@ def texts(live: Live) -> Message:
 
 
 def problems(live: Live) -> Message:
-    """What is wrong with the files, as of the last time that they were tried."""
+    """Return the errors and warnings of the files from the last attempt to open them."""
     return {"op": "problems", "problems": _problems(live, live.report)}
 
 
 def _problems(live: Live, report: Report) -> list[Message]:
-    """What is wrong, as far as it is shown, and how much more there is."""
+    """Return the findings that fit, and the number of further ones."""
     kept = shown(report)
     found, more = [live.screen.names.problem(each) for each in kept], len(report.diagnostics) - len(kept)
     if more:
@@ -67,7 +67,7 @@ def stops(live: Live) -> Message:
 
 
 def status(live: Live, rate: float, hash: str | None) -> Message:
-    """How the session stands; the same with nothing in it while the scene has errors."""
+    """Return the state of the session; with empty values while the scene has errors."""
     told: Message = {
         "op": "status", "frame": 0, "first": 0, "head": 0, "playing": False, "speed": live.speed, "rate": round(rate, 1),
         "edited": False, "fault": None, "paused_by": None, "paused_agents": None, "hash": hash, "agents": 0, "transitions": {},

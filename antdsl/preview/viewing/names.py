@@ -1,4 +1,5 @@
-"""Short names of files for the page, which never hears of a path of this machine; and places in their texts as browsers count."""
+"""Short names of files for the page, which never receives a path of this machine. Also, positions in texts as browsers count
+them."""
 
 from __future__ import annotations
 
@@ -17,7 +18,8 @@ TEXT_BYTES = 1 << 20  # of one file that is shown
 
 
 class Names:
-    """Files below the scene's folder by their way from there, the library as `<steering>`, others by their last part."""
+    """Short names: the relative path for files below the scene's folder, `<steering>` for the library, the last path part for
+    others."""
 
     def __init__(self, scene: Path) -> None:
         self._folder = Path(os.path.realpath(scene)).parent
@@ -25,7 +27,7 @@ class Names:
         self._names: dict[Path, str] = {}
 
     def of(self, path: str | Path) -> str:
-        """The name of a file that a source or a list of files names. Two files never have one name."""
+        """Return the name of a file from a source or a list of files. Names are unique."""
         text = os.fspath(path)
         if text.startswith("<"):
             return text
@@ -43,7 +45,7 @@ class Names:
         return self._names[real]
 
     def problem(self, found: Diagnostic) -> dict[str, Any]:
-        """A complaint with its place; where it has none, the file is null."""
+        """Return a finding with its location; the file is null if there is none."""
         told: dict[str, Any] = {
             "code": found.code, "severity": found.severity, "message": self._brief(found.message),
             "help": self._brief(found.help or ""),
@@ -78,8 +80,8 @@ def utf16(text: str) -> int:
 
 
 def text_of(path: Path, opened: Callable[[Path], int]) -> str | None:
-    """The text of a program or a scene as those who read it count, whatever is wrong with it; None where there is none. `opened`
-    gives a handle on a regular file, or an OSError."""
+    """Return the text of a program or a scene with the same line ends as its readers use, even if it has errors; None if there is
+    none. `opened` gives a handle on a regular file, or raises OSError."""
     try:
         data = read_handle(opened(path), TEXT_BYTES)
     except OSError:

@@ -1,4 +1,4 @@
-"""Planned paths: where agents will be in the frames to come, of those whose paths some page shows."""
+"""Planned paths: where agents will be in the frames to come, of agents with paths that some page shows."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from antdsl.preview.binary_packets import pack
 from antdsl.preview.requests import EVERYBODY
 from antdsl.preview.viewing.seen import Packets, Seen, Wanted
 
-_EVERY = 0.1  # seconds between two of them while time goes on: a page leaves out what lies behind by itself
+_EVERY = 0.1  # seconds between two of them while time goes on: a page leaves out past points automatically
 
 
 class Paths:
-    """The slot `paths`: of each agent its places from frame `frame` of the header on, nan where it is not there."""
+    """The slot `paths`: each agent's places from frame `frame` of the header on; NaN where the agent does not exist."""
 
     def __init__(self) -> None:
         self._last: tuple[int, Wanted] | None = None

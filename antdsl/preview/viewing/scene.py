@@ -1,4 +1,4 @@
-"""The scene message: what there is to look at, to colour by, to set and to switch."""
+"""The scene message: what a page can display, colour by, set and switch."""
 
 from __future__ import annotations
 
@@ -43,8 +43,8 @@ def scene(live: Live, box: Box, charts: list[dict[str, Any]], charts_need: str) 
 
 
 class Box:
-    """The box about all ground, solids and agents, in the world's own count. It stays what it was while ground and solids do: a
-    page looks at the whole again where it is another one."""
+    """The box around all ground, solids and agents, relative to the world's origin. It is unchanged while ground and solids are.
+    Pages reset their view when the box changes."""
 
     def __init__(self) -> None:
         self._about: tuple[list[list[float]], bool] = [], False
@@ -66,7 +66,7 @@ class Box:
 
 
 def _camera(session: Session) -> dict[str, Any] | None:
-    """The scene's own camera as it is in the first frame, in the world's own count."""
+    """Return the scene's own camera in the first frame, relative to the world's origin."""
     setting, origin, own = session.world.setting, session.world.origin, session.shot.scene.model.camera
     if setting.camera is not None:
         at, look_at, focal = setting.camera.at[0], setting.camera.look_at[0], float(setting.camera.focal[0]) or _FOCAL
@@ -98,7 +98,7 @@ def _species(session: Session, names: Names, population: Population) -> dict[str
 
 
 def _layers(session: Session, names: Names, population: Population) -> list[dict[str, Any]]:
-    """Those that run and those that are off, in the order of the text."""
+    """Return the running layers and those that are off, in text order."""
     found = []
     for layer in population.plan.layers:
         span = layer.span
@@ -159,7 +159,7 @@ def _items(session: Session) -> list[dict[str, Any]]:
 
 
 def _first(session: Session, name: str, amount: ItemAttribute) -> list[float]:
-    """What each item of a name has at first, in the unit that the author wrote."""
+    """Return the initial amount of each item, in the author's unit."""
     unit_mm, dt = session.world.setting.unit_mm, session.world.dt
     usual, one = base(amount.default, unit_mm, dt), worth(unit_for(amount), unit_mm, dt)
     return [each.attributes.get(amount.name, usual) / one for each in session.world.setting.items[name]]

@@ -1,5 +1,5 @@
-"""What all pages have been told and shown so far, and what is due: at most so often a second, only what changed, and nothing
-while nobody is there."""
+"""What all pages have received so far, and what is due: at most so often a second, only what changed, and nothing without
+clients."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ _RATE_OVER = 1.0  # seconds of steps that the rate is measured over
 
 
 class Screen:
-    """Used by the live thread alone. `due`: when `refresh` has something to do again."""
+    """Updates the pages. Used only by the live thread. `due`: when `refresh` has work again."""
 
     def __init__(self, live: Live) -> None:
         self.live, self.names = live, Names(live.compiler.scene)
@@ -64,7 +64,7 @@ class Screen:
             remember(self.live.session)
 
     def looks_ahead(self, session: Session) -> bool:
-        """Whether some page shows planned paths of somebody."""
+        """Return whether some page shows planned paths."""
         return bool(self._wanted.planned) or (self._wanted.planned_of_all and len(session.world) <= EVERYBODY)
 
     def looked_ahead(self) -> None:
@@ -76,16 +76,17 @@ class Screen:
         self._program = self._moved = True
 
     def arrived(self) -> None:
-        """Where one was going to in time: what was set by hand may be otherwise than where one set out."""
+        """Note that the session reached its target frame: values set by hand may differ from those at the frame where it
+        started."""
         self._program = True
         self.touched()
 
     def touched(self) -> None:
-        """Something was done that pages may have to hear of."""
+        """Note that something happened that pages may need to show."""
         self._moved, self._told_at = True, -inf
 
     def edited(self, *, files: bool) -> None:
-        """The program is another one, or was to be; `files`: texts may have changed."""
+        """Note that the program changed, or an attempt was made; `files`: texts may have changed."""
         self._program, self._files = True, self._files or files
         self._hash = None  # a param may be another one at the same frame
         if self.live.is_open:
@@ -101,7 +102,7 @@ class Screen:
         self.looked()
         client.tell(messages.hello(self.live))
         if len(self.live.clients) == 1:
-            self._program = self._files = False  # nobody else is there to hear of it
+            self._program = self._files = False  # there are no other clients
         if self.live.is_open:
             told = self._scene_message()
             self._scene = self._scene if len(self.live.clients) > 1 else told
@@ -158,7 +159,7 @@ class Screen:
             self.due = min(self.due, self._told_at + _TOLD_EVERY)
 
     def _show(self, session: Session, now: float) -> set[str]:
-        """Show all pages what is other than before; which slots that is."""
+        """Send all pages the slots that changed, and return those slots."""
         self._shown_at = now
         going = session.playing or self.live.busy
         seen, sent = Seen(session, self.live.ahead, self._wanted, self.live.light, now, going), set()
@@ -171,7 +172,7 @@ class Screen:
         return sent
 
     def _tell_scene(self, laid: bool) -> bool:
-        """Tell the scene if it is another than pages have, with charts only where these are `laid` out; whether they are."""
+        """Send the scene message if it changed, with charts only if they are `laid` out; return `laid`."""
         told = self._scene_message(laid)
         if told != self._scene:
             self._scene = told
@@ -195,7 +196,7 @@ class Screen:
             self.live.tell_all(news)
 
     def _rate(self) -> float:
-        """Steps in a second, lately; 0 while it stands still."""
+        """Return the recent number of steps per second; 0 while paused."""
         if not self.live.is_open or not self.live.session.playing:
             self._steps.clear()
             return 0.0
@@ -206,7 +207,7 @@ class Screen:
         return (len(self._steps) - 1) / over if over > 0 else 0.0
 
     def _hash_now(self) -> str | None:
-        """Of the session's world while it stands still and is what is shown."""
+        """Return the hash of the session's world while it is paused and displayed; else None."""
         live = self.live
         if not live.is_open or live.session.playing or live.busy or live.light is not None:
             return None

@@ -1,4 +1,4 @@
-"""What those who make packets look at, and the shape that they have."""
+"""The input and the interface of the views that make packets."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ class Wanted:
     flows: frozenset[str] = frozenset()
     solids: bool = True
     followed: tuple[Who, ...] = ()  # each once
-    planned: tuple[Who, ...] | None = None  # whose paths in the time to come, each once; None: no page shows any
+    planned: tuple[Who, ...] | None = None  # agents with future paths shown, each once; None: no page shows any
     planned_of_all: bool = False
 
     @classmethod
@@ -45,8 +45,8 @@ class Wanted:
 
 @dataclass(frozen=True, slots=True)
 class Seen:
-    """A moment: the session and what comes after it, what is looked at, the remembered frame that is shown instead of the
-    session's own, the clock."""
+    """A snapshot: the session and the frames ahead, what pages look at, the remembered frame shown instead of the session's own,
+    the clock."""
 
     session: Session
     ahead: Ahead
@@ -65,6 +65,6 @@ class Seen:
 
 
 class View(Protocol):
-    """Makes the packets of one kind: those that differ from what it gave before."""
+    """Makes the packets of one kind, and returns only those that changed."""
 
     def packets(self, seen: Seen) -> Packets: ...

@@ -1,4 +1,4 @@
-"""The units in which numbers go to the page: as authors write them."""
+"""The units of numbers that go to the page: those that authors use."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from antdsl.scene.quantities import BadQuantity, parse_quantity
 
 
 def unit_for(declared: AttributeDecl | ItemAttribute) -> str:
-    """The unit that the default is written in, else a usual one."""
+    """Return the unit of the default in the text, else a usual one."""
     if declared.type.kind is not Kind.NUMBER:
         return ""
     default = declared.default
@@ -32,6 +32,6 @@ def base(value: Const, unit_mm: float, dt: float) -> float:
 
 
 def colourable(world: World, species: str, attributes: tuple[AttributeDecl, ...]) -> list[AttributeDecl]:
-    """Those of a species' attributes that are a number of each agent."""
+    """Return the attributes of a species that are one number per agent."""
     registers = world.plan.species[species].registers
     return [each for each in attributes if each.type.kind in (Kind.NUMBER, Kind.BOOL) and each.name in registers]

@@ -36,19 +36,19 @@ OF_SOUND: tuple[Check, ...] = (
     reachability,  # states that nothing leads to, and that nothing leads out of
     shadowed,  # changes that can never be looked at
     events,  # raised and never noticed, noticed and never raised
-    unused,  # declared and never asked for
-    firing,  # changes whose condition never holds, or always
+    unused,  # declared and never used
+    firing,  # their conditions never hold, or always
     flicker,  # two states that send the animal to each other
     draws,  # numbers drawn in a condition
     per_frame,  # values that change by so much a frame
-    wide_radius,  # neighbours among whom is everybody
+    wide_radius,  # neighbours that include all agents
     idle_layers,  # lines that no strength is left for
     one_way,  # attributes and fields that are only set, or only read
 )
 
-# Those that look at each species by itself, at nothing but its own parts and the params.
+# Those that look at each species alone, at nothing but its own parts and the params.
 OF_EACH = frozenset((shadowed, writers, layering, firing, flicker, draws, per_frame, wide_radius, idle_layers))
-# And of these, those that look at each state by itself, and at the layers.
+# And of these, those that look at each state alone, and at the layers.
 OF_STATES = frozenset((firing, draws, per_frame))
 
 __all__ = ["CHECKS", "OF_EACH", "OF_SOUND", "OF_STATES", "Check", "Checked"]

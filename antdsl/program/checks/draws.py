@@ -1,4 +1,4 @@
-"""Numbers drawn in a condition: they are drawn anew in every step, so how often it holds depends on the frame rate."""
+"""Numbers drawn in a condition: every step draws again, so how often it holds depends on the frame rate."""
 
 from __future__ import annotations
 
@@ -48,8 +48,8 @@ def _drawn(part: Op) -> bool:
 
 
 def _within(root: Expr, through: Collection[str]) -> Iterator[Expr]:
-    """An expression and what is inside it, as far as these operations and the names of values go, what a name stands for once.
-    Sets are left alone."""
+    """Yield an expression and its parts, through the listed operations and the names of values, each named value once. Sets are
+    not entered."""
     stack: list[Expr] = [root]
     named: set[int] = set()
     while stack:

@@ -1,4 +1,4 @@
-"""A program in which nothing is declared that could do anything."""
+"""A program that declares nothing that could act."""
 
 from __future__ import annotations
 
@@ -16,6 +16,6 @@ def empty(checked: Checked, report: Report) -> None:
         source, items = file.node.source, file.node.items
         if not items or any(isinstance(item, (nodes.Species, nodes.Behaviour)) for item in items):
             continue
-        # where the word stands, there is one that could not be read, which was told already
+        # if the word is there, a declaration could not be read, which was reported already
         if not any(_DECLARING.search(line.partition("#")[0]) for line in source.text.splitlines()):
             report.error("empty-program", "no species and no behaviour is declared", items[0].span, "write `species ant { … }`")

@@ -1,4 +1,4 @@
-"""Events that nobody notices, and handlers of events that nobody raises."""
+"""Events that no agent notices, and handlers of events that no agent raises."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def events(checked: Checked, report: Report) -> None:
 
 
 def _told(checked: Checked, event: str, span: Span, report: Report) -> None:
-    """Species of whom one agent is told of an event that such agents do not notice."""
+    """Report species of which agents receive an event that they do not notice."""
     for name in checked.declared.species:
         if checked.uses("told", f"{event} {name}") and not checked.uses("heard", f"{event} {name}"):
             report.warning(

@@ -1,5 +1,5 @@
-"""Changes whose condition can never hold, or cannot but hold, as far as its comparisons with constants show, and those that wait
-for a clip where none plays."""
+"""Changes with a condition that can never hold, or always holds, as far as its comparisons with constants show; and those that
+wait for a clip where none plays."""
 
 from __future__ import annotations
 
@@ -38,7 +38,8 @@ def _change(reader: Reader, change: Transition, report: Report) -> None:
 
 
 def _without_clip(species: Species, machine: Machine, state: State, report: Report) -> None:
-    """Changes of a state without a clip that wait for its clip. A change `from any` may be meant for other states."""
+    """Report transitions that wait for the clip of a state without a clip. A transition `from any` may be meant for other
+    states."""
     if any(isinstance(line, Play) for line in state.body):
         return
     for change in state.transitions:

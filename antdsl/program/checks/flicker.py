@@ -1,4 +1,4 @@
-"""Two states that send the animal to each other for the same values: it would change to and fro in every step."""
+"""Two states that lead to each other for the same values: an agent would alternate between them in every step."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def flicker(checked: Checked, report: Report) -> None:
 
 
 def _pairs(machine: Machine) -> Iterator[tuple[tuple[State, Transition], tuple[State, Transition]]]:
-    """Changes from one state to a later one, each with those that lead back."""
+    """Yield each transition from a state to a later one with each transition back."""
     for state in machine.states:
         for change in state.transitions:
             other = machine.states[change.target] if change.target is not None else None
@@ -55,7 +55,7 @@ def _waits(state: State, change: Transition) -> bool:
 
 
 def _overlap(reader: Reader, one: Expr, other: Expr) -> bool:
-    """Whether both are comparisons of one and the same value with constants, and some values fulfil both."""
+    """Return whether both compare the same value with constants, and some value satisfies both."""
     try:
         cases = [reader.cases(one), reader.cases(other)]
     except NOT_FOLLOWED:
@@ -67,12 +67,12 @@ def _overlap(reader: Reader, one: Expr, other: Expr) -> bool:
 
 
 def _alters(machine: Machine, way: tuple[State, Transition], test: Expr) -> bool:
-    """Whether going that way sets something that the test on the other side reads, or starts its clock anew."""
+    """Return whether that transition sets something that the test on the other side reads, or restarts its clock."""
     state, change = way
     assert change.target is not None
     blocks = (state.exit, change.actions, machine.states[change.target].enter)
     written = {line.attribute for block in blocks for line in block if isinstance(line, Assign)}
-    # gives change what they give, whoever is asked
+    # gives change what they give, for any test
     others = any(not isinstance(line, Assign) for block in blocks for line in block)
     read = {part.name for part in parts(test) if isinstance(part, Attribute)}
     return others or bool(written & read) or any(name.endswith(".time_in_state") for name in read)

@@ -1,4 +1,4 @@
-"""Lines of `layers` that no strength is ever left for, or whose condition never holds."""
+"""Lines of `layers` that no strength is ever left for, or that have a condition that never holds."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def idle_layers(checked: Checked, report: Report) -> None:
 
 
 def _below_all(reader: Reader, species: Species, report: Report) -> None:
-    """In a sum every line counts; else the first that is always at full strength leaves nothing."""
+    """Report layers below one that always takes the whole budget. In a sum every layer counts."""
     lines = tuple(layer for layer in species.layers.layers if not layer.faces)  # to face a way takes no strength
     enough = {"budget": 1.0, "first": 1e-6}.get(species.layers.mode)
     if enough is None:
@@ -55,7 +55,7 @@ def _least(species: Species, layer: Layer) -> float:
 
 
 def strength(push: Expr) -> float:
-    """The least length that a push has whatever happens; 0 where nothing is known."""
+    """Return the smallest length of a push in any case; 0 if nothing is known."""
     if isinstance(push, Local) and push.binding.role in ("let", "argument") and push.binding.value is not None:
         return strength(push.binding.value)
     if isinstance(push, Inline):

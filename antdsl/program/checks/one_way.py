@@ -1,4 +1,4 @@
-"""Memory that nobody asks for: attributes that are set and never read, or always as at first; fields that nobody smells."""
+"""Memory that is never used: attributes that are set and never read, or always as at first; fields that no agent smells."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def one_way(checked: Checked, report: Report) -> None:
 
 
 def _wholes(program: Program) -> Iterator[object]:
-    """Everything that can name a field: states one by one, as they are what changes while somebody writes."""
+    """Yield everything that can name a field: states one by one, as they are what changes during edits."""
     for species in program.species.values():
         yield from (state for machine in species.machines for state in machine.states)
         yield (*species.attributes, *species.lets, *species.latches, *species.handlers, species.layers)

@@ -1,7 +1,8 @@
-"""Values that change by so much each time: a state's lines run in every step, so how fast they change depends on the frame rate.
+"""Values that change by a fixed amount each time: a state's lines run in every step, so the speed of change depends on the frame
+rate.
 
-What is looked for is an assignment that reads what it sets, a `keep` whose next value is made of the one before, and an amount
-a second that is none: by what each comes to as steps get shorter."""
+The check looks for assignments that read what they set, a `keep` computed from its previous value, and amounts a second that are
+none. It examines what each comes to as steps get shorter."""
 
 from __future__ import annotations
 
@@ -128,7 +129,7 @@ def _added(value: Expr, own: str) -> str:
 
 
 def _rewritten(op: Expr, own: Own) -> str:
-    """The same operation for however long a step lasts; empty where that cannot be told from the text."""
+    """Return the same operation for any length of a step; empty if the text does not determine it."""
     if not isinstance(op, Op) or len(op.args) < 2 or op.args[0] is None or op.args[1] is None:
         return ""
     left, right = op.args[:2]
@@ -149,7 +150,7 @@ def _rewritten(op: Expr, own: Own) -> str:
 
 
 def _shrinks(op: Expr, own: str) -> bool:
-    """`x * dt`: nothing is left of it in a short step."""
+    """Return whether the value is multiplied by `dt`, as in `x * dt`, so that it vanishes in a short step."""
     return isinstance(op, Op) and op.name == "mul" and any(e is not None and timed(e) and not reads(e, own) for e in op.args)
 
 
@@ -159,7 +160,7 @@ def _decay(own: Expr, factor: Expr, power: int) -> str:
 
 
 def _mixed(op: Op, own: Own) -> str:
-    """`mix(x, goal, 0.1)`: a tenth of the way in each step."""
+    """Return the rewrite of `mix(x, goal, 0.1)`, which covers a tenth of the distance in each step."""
     a, z, share = op.args
     assert a is not None and z is not None and share is not None
     known = constant_behind(share)

@@ -23,7 +23,7 @@ def reachability(checked: Checked, report: Report) -> None:
 
 
 def _reached(machine: Machine) -> set[int]:
-    """States that can be come to from the start. `previous` leads only to where one has been."""
+    """Return the states that are reachable from the start state. `previous` leads only to states that were active before."""
     reached: set[int] = set()
     stack = [machine.start]
     while stack:

@@ -1,4 +1,4 @@
-"""Changes that come after one that happens whenever they could: the first true one wins, so they are never looked at."""
+"""Transitions after one that is true whenever they are: the first true one wins, so they have no effect."""
 
 from __future__ import annotations
 
@@ -41,12 +41,12 @@ def _hides(reader: Reader, first: Transition, change: Transition) -> bool:
     if first.take is not None or not _sooner(first.after, change.after) or not _sooner(first.held, change.held):
         return False
     if change.condition is not None and never(reader, change.condition):
-        return False  # that one is told already, whatever stands above it
+        return False  # that one is reported already, whatever is above it
     return implies(reader, change.condition, first.condition)
 
 
 def _sooner(first: Expr | None, other: Expr | None) -> bool:
-    """Whether a waiting time is over when the other one is."""
+    """Return whether the first waiting time has passed whenever the other has."""
     if first is None:
         return True
     a, b = constant_behind(first), (constant_behind(other) if other is not None else None)

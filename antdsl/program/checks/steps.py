@@ -1,4 +1,4 @@
-"""Every use of the unit `step`, for `check --strict`: what is said per step, or in steps, is another thing at another rate."""
+"""Reports every use of the unit `step`, for `check --strict`: values per step, or in steps, depend on the frame rate."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def _files(files: Sequence[FileNames]) -> Iterator[FileNames]:
 
 
 def _instead(node: nodes.Quantity, power: float, around: nodes.Setting | nodes.Given | None) -> tuple[Fix | None, str]:
-    """What to write for it, and the words that say so."""
+    """Return the replacement for a quantity in steps, and the text that describes it."""
     if isinstance(around, nodes.Setting) and around.name.text == "keeps":
         share = node.value * (0.01 if "%" in node.unit else 1.0)
         if not 0 < share < 1:

@@ -1,4 +1,4 @@
-"""What is declared and never asked for: params, attributes, lets, latches, fields, behaviours."""
+"""What is declared and never used: params, attributes, lets, latches, fields, behaviours."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def _species(checked: Checked, species: Species, report: Report) -> None:
 
 
 def _behaviours(checked: Checked, report: Report) -> None:
-    """A behaviour that nobody calls, in a file with a species; a file of behaviours alone is there for others."""
+    """Report behaviours that nothing calls, in files with a species; a file of behaviours alone is there for others."""
     for file in checked.files:
         if not any(isinstance(item, nodes.Species) for item in file.node.items):
             continue

@@ -1,4 +1,4 @@
-"""Neighbours looked for so far away that everybody is one: each agent would go through the whole crowd in every step."""
+"""Neighbours in such a wide radius that all agents are in it: each agent would go through the whole crowd in every step."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from antdsl.program.traverse import parts
 from antdsl.program.types.descriptions import quoted
 from antdsl.program.types.folding import constant_behind
 
-_LENGTHS = 1000  # of a body: beyond so many nobody senses a neighbour
+_LENGTHS = 1000  # of a body: beyond so many no neighbour is sensed
 _SIZE = 4.0  # mm, of a body where the program does not say
 
 
@@ -40,14 +40,14 @@ def wide_radius(checked: Checked, report: Report) -> None:
 
 
 def _of_agents(part: SetOf, only_the_nearest: bool) -> bool:
-    """Whether a set goes through the agents within a radius. To know the nearest one of all, nobody has to."""
+    """Return whether a set goes through the agents within a radius. The nearest one of all is found without that."""
     if part.source == "neighbours":
         return True
     return part.source == "all" and part.element.type.kind is Kind.AGENT and not (only_the_nearest and part.where is None)
 
 
 def _names(expr: Expr) -> list[Expr]:
-    """An expression and what stands behind it, where that is a name."""
+    """Return an expression and, if it is a name, the expressions behind it."""
     found = [expr]
     while isinstance(expr, Local) and expr.binding.role in ("argument", "let") and expr.binding.value is not None:
         expr = expr.binding.value
@@ -56,7 +56,7 @@ def _names(expr: Expr) -> list[Expr]:
 
 
 def _radius(expr: Expr, params: Mapping[str, Param]) -> Const | None:
-    """The constant that a radius is, also by what a param is where nobody sets it."""
+    """Return the constant value of a radius; a param counts by its default."""
     last = _names(expr)[-1]
     return constant_behind(params[last.name].default if isinstance(last, ParamRef) and last.name in params else last)
 

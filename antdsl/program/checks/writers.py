@@ -1,4 +1,4 @@
-"""One attribute, one writer: two machines side by side may both add to an attribute, but not both set it."""
+"""One attribute, one writer: two machines that run in parallel may both add to an attribute, but not both set it."""
 
 from __future__ import annotations
 

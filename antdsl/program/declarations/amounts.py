@@ -1,4 +1,4 @@
-"""What a line adds: so much a second where it runs in every step, an amount where it happens once."""
+"""Values that a line adds: a rate per second if it runs in every step, an amount if it happens once."""
 
 from __future__ import annotations
 
@@ -16,7 +16,8 @@ from antdsl.syntax import nodes
 
 @dataclass(frozen=True, slots=True)
 class Block:
-    """Where statements stand. `body`: each step. `commuting`: in a handler, where several events may come at once."""
+    """The context of statements. `body`: they run in each step. `commuting`: they are in a handler, where several events may
+    arrive at once."""
 
     body: bool
     commuting: bool = False
@@ -30,7 +31,7 @@ HANDLER = Block(body=False, commuting=True)
 def added(
     scope: Scope, node: nodes.Expr, type: Type, block: Block, before: str, after: str = "", level: bool = False
 ) -> Expr | None:
-    """What is added: so much a second in a state's body, an amount elsewhere, and with `level` an amount anywhere. `before`,
+    """Return the added value: a rate per second in a state's body, else an amount; with `level` always an amount. `before` and
     `after`: the author's words around it."""
     per_second = Type(type.kind, product(type.dim, Dim(time=1), -1))
     want = per_second if block.body else type

@@ -68,7 +68,7 @@ def look(scope: Scope, line: nodes.Ask, block: Block) -> model.Look | None:
 
 
 def said_once(scope: Scope, node: nodes.State) -> None:
-    """Complain about a state that gives a channel two values, or turns one transform group to two places."""
+    """Report a state that sets a channel twice, or turns one transform group to two places."""
     first: dict[tuple[str, str], nodes.Ask] = {}
     for line in node.body:
         if not isinstance(line, nodes.Ask) or line.verb not in ("channel", "look") or line.name is None:
@@ -133,7 +133,7 @@ def _without_names(line: nodes.Ask) -> nodes.Ask:
 
 
 def _name(scope: Scope, clip: str, argument: str, node: nodes.Expr) -> str | None:
-    """A name of the body's that an argument gives; None after a complaint."""
+    """Return a name of the body in an argument; None after an error."""
     if isinstance(node, nodes.NameRef):
         return node.name.text
     what, sample = ("a transform group", "arms") if argument == "on" else ("a clip", f"{clip}_{argument}")
@@ -145,7 +145,7 @@ def _name(scope: Scope, clip: str, argument: str, node: nodes.Expr) -> str | Non
 
 
 def _sensible(scope: Scope, clip: str, argument: str, found: Expr) -> bool:
-    """Whether a value can be what it is for; a complaint where a constant cannot."""
+    """Return whether a value suits its argument; report an error for an unsuitable constant."""
     known = constant_behind(found)
     text = " ".join(found.span.text.split())
     words, help = "", ""

@@ -1,4 +1,4 @@
-"""A line that asks something of the world, checked by the row of its verb: what it names, what stands behind that, and where."""
+"""A line with a verb of the world, checked by the row of its verb: the thing it names, its arguments, and where it may appear."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def ask(scope: Scope, line: nodes.Ask, block: Block) -> model.Ask | None:
 
 
 def argument_type(arg: Arg) -> Type:
-    """The type of an argument; of what is added or the agent's own that behind the first word."""
+    """Return the type of an argument. For an added value or an attribute of the agent, it is the type after the first word."""
     first, _, rest = arg.type.partition(" ")
     if first == "own" and (unit := measure(rest)) is not None:
         return Type(Kind.NUMBER, unit.dim)
@@ -59,7 +59,7 @@ def argument_type(arg: Arg) -> Type:
 
 
 def _written(scope: Scope, row: Effect, line: nodes.Ask, form: str) -> Written | None:
-    """What is written for the arguments, by their names; None after a complaint."""
+    """Return the argument nodes by name; None after an error."""
     if line.amount is not None:
         return {row.args[0].name: line.amount}
     behind = {} if line.to is None else {"to": line.to}
@@ -74,7 +74,7 @@ def _written(scope: Scope, row: Effect, line: nodes.Ask, form: str) -> Written |
 
 
 def _number(scope: Scope, row: Effect, line: nodes.Ask, arg: Arg, written: Written, block: Block, form: str) -> Expr | None:
-    """An argument's value; None where it is absent, BAD after a complaint."""
+    """Return the value of an argument; None if it is absent, BAD after an error."""
     node = written.get(arg.name)
     if node is None:
         return None if arg.default is None else default_of(scope, arg.default, line.span)[0]
@@ -87,7 +87,7 @@ def _number(scope: Scope, row: Effect, line: nodes.Ask, arg: Arg, written: Writt
 
 
 def _whom(scope: Scope, row: Effect, line: nodes.Ask, node: nodes.Expr) -> Expr:
-    """The one agent that a line asks something for, of a species that handles its event."""
+    """Return the one agent that a line addresses, of a species that handles its event."""
     found = value(scope, node)
     if found.type.kind is Kind.BAD:
         return found
@@ -135,7 +135,7 @@ def _own(scope: Scope, row: Effect, arg: Arg, node: nodes.Expr) -> str | None:
 
 
 def _lacks(scope: Scope, row: Effect, line: nodes.Ask, written: Written, form: str) -> bool:
-    """Complain about a line without brackets that wants some."""
+    """Report a line without brackets that needs them."""
     missing = [arg for arg in row.args if arg.default is None and not arg.optional and arg.name not in written]
     if missing:
         shape = ", ".join(f"{arg.name}: {arg.sample or '…'}" for arg in missing)
@@ -145,7 +145,7 @@ def _lacks(scope: Scope, row: Effect, line: nodes.Ask, written: Written, form: s
 
 
 def _there(scope: Scope, row: Effect, name: nodes.Name | None) -> bool:
-    """Whether what a line names is declared; a complaint where it is not. An event is, by being raised."""
+    """Return whether the thing that a line names is declared; report an error if not. An event is declared by being emitted."""
     if name is None:
         return True
     declared, text = scope.declared, name.text
@@ -176,7 +176,8 @@ def _there(scope: Scope, row: Effect, name: nodes.Name | None) -> bool:
 
 
 def _keeps_greatest(scope: Scope, name: str) -> bool:
-    """Whether a field has `combine max`: nothing is added up there, so a line of a state may say what its cell holds at least."""
+    """Return whether a field has `combine max`. Nothing is added there, so a line of a state may set a lower bound for its
+    cell."""
     field = scope.declared.fields.get(name)
     said = [s.value for s in field.settings if s.name.text == "combine"] if field is not None else []
     return any(isinstance(each, nodes.NameRef) and each.name.text == "max" for each in said)

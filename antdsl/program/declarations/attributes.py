@@ -1,4 +1,4 @@
-"""Attributes of a species: their starting values and types, those first that others start from."""
+"""Attributes of a species: their initial values and types, ordered so that an attribute comes after those that it starts from."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ _EARLY = "starting values are computed before the animal has sensed anything"
 
 
 def attributes(scope: Scope, node: nodes.Species) -> list[model.AttributeDecl]:
-    """Given and own attributes, those first that others start from."""
+    """Return built-in and own attributes, ordered so that an attribute comes after those that it starts from."""
     declared: dict[str, nodes.Declaration | nodes.Given] = {}
     for name, row in GIVEN.items():
         if row.settable and row.default is not None:
@@ -52,7 +52,7 @@ def attributes(scope: Scope, node: nodes.Species) -> list[model.AttributeDecl]:
 
 
 def _speeds(scope: Scope, found: list[model.AttributeDecl], declared: Mapping[str, nodes.Declaration | nodes.Given]) -> None:
-    """The slowest and the fastest of a species, where both are known: the one may not be more than the other."""
+    """Check that the lowest speed of a species is not above the highest, if both are known."""
     known = {each.name: constant_behind(each.default) for each in found if each.name in ("min_speed", "max_speed")}
     least, most = known.get("min_speed"), known.get("max_speed")
     if least is None or most is None or (least.u, least.step) != (most.u, most.step) or least.number <= most.number:
@@ -90,7 +90,7 @@ def _settable(scope: Scope, member: nodes.Given) -> bool:
 
 
 def _belongs(word: str) -> str | None:
-    """Where a line that begins with a sense or a word of the language belongs, which no attribute can be called."""
+    """Return where a line belongs that begins with a sense or another word of the language; no attribute can have such a name."""
     if word in OTHER_SENSES:
         return f"write the sense where its value is needed: {OTHER_SENSES[word].replace('X', 'food')}"
     if word in BUILTINS or word in REDUCERS:

@@ -1,4 +1,4 @@
-"""Behaviours: each is checked once by itself, and put in place of every call with the types of that call."""
+"""Behaviours: each is checked once alone, and put in place of every call with the types of that call."""
 
 from __future__ import annotations
 
@@ -36,7 +36,8 @@ _DEEPEST = 100  # of behaviours inside behaviours, counted in operations
 
 
 def prepare(report: Report, info: BehaviourInfo) -> None:
-    """Sizes of a behaviour and of all that it calls, from the bottom up; a circle of calls is told once, with its names."""
+    """Compute the sizes of a behaviour and of all that it calls, from the bottom up; a circle of calls is reported once, with its
+    names."""
     stack: list[tuple[BehaviourInfo, int]] = [(info, 0)]
     path: list[BehaviourInfo] = []
     while stack:
@@ -115,11 +116,11 @@ def _circle(report: Report, circle: list[BehaviourInfo]) -> None:
         each.state = "circular"
 
 
-# --- a behaviour by itself -------------------------------------------------------------------------------------------
+# --- a behaviour alone -----------------------------------------------------------------------------------------------
 
 
 def check_behaviour(declared: Declared, info: BehaviourInfo, complain: bool = True) -> bool:
-    """Check a behaviour once, with the types that its arguments declare; True when it is sound."""
+    """Check a behaviour once, with the declared types of its arguments; return whether it has no errors."""
     if info.state in ("ok", "broken"):
         return info.state == "ok"
     report = Report()
@@ -262,14 +263,14 @@ def call_behaviour(scope: Scope, node: nodes.Call, want: Type | None) -> Expr:
 
 
 def call_unwritten(scope: Scope, info: BehaviourInfo, node: nodes.Call) -> Expr:
-    """A behaviour without arguments in place of a call that the language makes itself; `node` says where."""
+    """Return a behaviour without arguments, expanded for a call that the language itself makes; `node` gives the place."""
     if not check_behaviour(scope.declared, info) or not _allowed(scope, info, node):
         return bad(node.span)
     return _in_place(scope, info, node, {})
 
 
 def _bind(scope: Scope, info: BehaviourInfo, node: nodes.Call) -> None:
-    """What the call names: a module, the behaviour, and arguments that it has."""
+    """Bind the names in a call: a module, the behaviour, and its arguments."""
     path, name, function = info.file.node.source.path, info.node.name.text, node.function
     if isinstance(function, nodes.Member) and isinstance(function.owner, nodes.NameRef):
         scope.bind(function.owner.span, "alias", scope.file.node.source.path, function.owner.name.text)
@@ -306,7 +307,7 @@ def _called(scope: Scope, function: nodes.Expr) -> BehaviourInfo | None:
 
 
 def _allowed(scope: Scope, info: BehaviourInfo, node: nodes.Call) -> bool:
-    """Whether the call may stand where it stands: memory and draws have places where they make no sense, and size is bounded."""
+    """Return whether the call may appear here. Memory and draws are not allowed everywhere, and the expanded size is limited."""
     name, declared = info.node.name.text, scope.declared
     if info.keeps and scope.no_keep:
         scope.report.error(
@@ -337,7 +338,7 @@ def _allowed(scope: Scope, info: BehaviourInfo, node: nodes.Call) -> bool:
 
 
 def _by_itself(scope: Scope, info: BehaviourInfo, node: nodes.Call, given: Mapping[str, nodes.Expr]) -> Expr:
-    """A call inside a behaviour that is checked by itself: the arguments count, what is behind it was checked on its own."""
+    """Type a call inside a behaviour that is checked alone: the arguments count, its body was checked separately."""
     quiet = scope.inside(report=Report())
     for argument in info.node.arguments:
         if argument.name.text in given:

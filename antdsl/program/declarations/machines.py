@@ -1,4 +1,4 @@
-"""States and changes of a species, checked and put in the order in which they are looked at."""
+"""States and transitions of a species, checked and put in evaluation order."""
 
 from __future__ import annotations
 
@@ -105,7 +105,7 @@ def _state(scope: Scope, names: MachineNames, node: nodes.State, index: int, gen
 
 
 def _lets(scope: Scope, node: nodes.State) -> dict[str, Binding | Expr]:
-    """Lets of a state, in text order: snapshots of the start of the step like those of the species."""
+    """Return the lets of a state in text order. They are snapshots of the start of the step, like those of the species."""
     local: dict[str, Binding | Expr] = dict(scope.locals)
     assert scope.species is not None
     for line in node.body:
@@ -184,7 +184,8 @@ def _from_any(scope: Scope, names: MachineNames, node: nodes.Change) -> model.Tr
 
 
 def _applies(node: nodes.Change, change: model.Transition, state: str, index: int) -> bool:
-    """`from any` leaves out its exceptions and never leads into the state one is in."""
+    """Return whether a transition applies in a state: `from any` leaves out its exceptions and never leads into the current
+    state."""
     return change.target != index and all(name.text != state for name in node.any_except or ())
 
 
@@ -207,7 +208,7 @@ def _change(scope: Scope, names: MachineNames, node: nodes.Change, path: str) ->
 
 
 def _after(scope: Scope, node: nodes.Expr | None) -> Expr | None:
-    """`after T` stands alone. In `after 1 s and meal` the time is taken for a part of the condition."""
+    """Check that `after T` is the whole condition. In `after 1 s and meal` the time is read as part of the condition."""
     time = _leftmost(node)
     if node is None or time is None or time is node:
         return _duration(scope, node, "`after`")
@@ -229,7 +230,7 @@ def _held(scope: Scope, node: nodes.Expr | None) -> Expr | None:
 
 
 def _leftmost(node: nodes.Expr | None) -> nodes.Expr | None:
-    """What comes first in a chain of `and` and `or`."""
+    """Return the first operand in a chain of `and` and `or`."""
     while isinstance(node, nodes.Binary) and node.op in ("and", "or"):
         node = node.left
     return node

@@ -1,5 +1,5 @@
-"""Params of a species: a value, and the range that it may be changed in. Of the three numbers that do not go together, the one is
-marked that the other two speak against."""
+"""Params of a species: a value, and the range in which it may change. If the three numbers do not match, the finding marks the
+one that contradicts the other two."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from antdsl.syntax import nodes
 
 @dataclass(frozen=True, slots=True)
 class _Number:
-    """One of the three: as written, and what it is worth."""
+    """One of the three numbers: its text and its value."""
 
     node: nodes.Expr
     const: Const
@@ -82,7 +82,8 @@ def _fixed(scope: Scope, node: nodes.Expr, who: str) -> Const | None:
 
 
 def _together(scope: Scope, node: nodes.Declaration, three: list[_Number]) -> list[_Number]:
-    """The value and both ends, of one type: what is of another is told, and taken as if it had the unit of the others."""
+    """Return the value and both ends, of one type. One of another type is reported, and taken as if it had the unit of the
+    others."""
     types = [each.const.type for each in three]
     if types[0] == types[1] == types[2]:
         _ordered(scope, node, three)
@@ -124,7 +125,8 @@ def _odd_one_out(scope: Scope, three: Sequence[_Number], odd: int, wanted: Type,
 
 
 def _fitting(three: Sequence[_Number], odd: int) -> str | None:
-    """A text for one of them with which all three go together: its own number with another unit, or the nearest of the others."""
+    """Return a replacement for the odd number with which all three match: its number with another unit, or the nearest other
+    number."""
     others = [each for each in three if each is not three[odd]]
 
     def fit(const: Const) -> bool:
@@ -140,7 +142,7 @@ def _fitting(three: Sequence[_Number], odd: int) -> str | None:
 
 
 def _by_unit(node: nodes.Expr, others: Sequence[_Number]) -> dict[str, Const]:
-    """What a written number is worth with the units of the others, and with all that are of their dimension."""
+    """Return the value of a number with each unit of the others, and with all units of their dimension."""
     if not isinstance(node, (nodes.Number, nodes.Quantity)):
         return {}
     type = others[0].const.type
@@ -165,7 +167,7 @@ def _go_together(consts: Sequence[Const]) -> bool:
 
 
 def _units_left_out(scope: Scope, three: Sequence[_Number], told: Sequence[_Number]) -> None:
-    """Some of the numbers have no unit: it is written out behind each, in one go."""
+    """Report numbers without a unit; one fix adds the unit to all of them."""
     bare = [each for each in three if each.bare]
     unit = _unit_for(three, told)
     if unit is None:

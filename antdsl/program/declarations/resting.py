@@ -1,4 +1,5 @@
-"""States that steer nothing: where others of the species steer, who is in them stands still, by the library's `halt()`."""
+"""States that steer nothing. If other states of the species steer, agents in these states stand still, by the library's
+`halt()`."""
 
 from __future__ import annotations
 
@@ -13,10 +14,10 @@ LIBRARY, BEHAVIOUR = "steering", "halt"
 
 
 def rest(scope: Scope, machines: Sequence[model.Machine], name: nodes.Name) -> model.Rest | None:
-    """The push of those in states that steer nothing; None where every state steers, or none of any machine does.
+    """Return the push of agents in states that steer nothing; None if every state steers, or none of any machine does.
 
-    A machine that never steers, such as one of moods, says nothing about moving. Of several that steer it is enough that one of
-    them does so now: so that it may steer alone. `name` is the species' own, which stands for the call that nobody wrote."""
+    A machine that never steers, such as one of moods, says nothing about moving. If several steer, it is enough that one of them
+    does so now, so that it may steer alone. `name` is the species' own, which stands for the implicit call."""
     silent: dict[str, tuple[int, ...]] = {}
     for machine in machines:
         quiet = tuple(state.index for state in machine.states if not steers(state))
@@ -32,5 +33,5 @@ def rest(scope: Scope, machines: Sequence[model.Machine], name: nodes.Name) -> m
 
 
 def steers(state: model.State) -> bool:
-    """Whether a state says how its animals move, be it by a push of nothing."""
+    """Return whether a state declares how its agents move, even if by a zero push."""
     return any(isinstance(line, model.Steer) for line in state.body)

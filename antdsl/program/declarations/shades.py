@@ -12,10 +12,10 @@ from antdsl.syntax import nodes
 
 
 def rules(scope: Scope, node: nodes.Fuzzy) -> Expr:
-    """The mean of what the rules say, each weighted by how true it is; 0 when none is true at all.
+    """Return the mean of the rules' outputs, each weighted by how true its rule is; 0 if none is true at all.
 
-    Weighted mean of singletons: zero-order Sugeno (Takagi and Sugeno, Fuzzy identification of systems, IEEE Trans. SMC 15(1),
-    1985, section II; the outputs there are linear, and may be here, since any number can stand behind the arrow). The
+    This is a weighted mean of singletons: zero-order Sugeno (Takagi and Sugeno, Fuzzy identification of systems, IEEE Trans. SMC
+    15(1), 1985, section II). The outputs there are linear, and may be here, because any number can follow the arrow. The
     arguments of the operation are degree, output, degree, output, …"""
     if not node.rules:
         scope.report.error(

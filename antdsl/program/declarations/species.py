@@ -48,7 +48,7 @@ _PURE = "a `let` only names a value"
 
 @dataclass(slots=True)
 class Draft:
-    """A species on its way: its own names first, so that others may refer to them, the rest in `complete`."""
+    """A species under construction: its own names first, so that others may refer to them; `complete` adds the rest."""
 
     names: SpeciesNames
     node: nodes.Species
@@ -90,7 +90,7 @@ def _members(node: nodes.Species, *kinds: type) -> list[Any]:
 
 
 def _check_names(scope: Scope, node: nodes.Species) -> None:
-    """One name, one thing; and none that the language has itself."""
+    """Check that names are unique and not words of the language."""
     seen: dict[str, Span] = {}
     for member in _members(node, nodes.Declaration, nodes.ParamDecl, nodes.Let, nodes.Latch, nodes.Fuzzy):
         each = member.declaration if isinstance(member, nodes.ParamDecl) else member
@@ -146,7 +146,7 @@ def _completed(work: Draft) -> model.Species:
 
 
 def _relaxing(scope: Scope, attribute: model.AttributeDecl, node: nodes.Declaration | None) -> model.AttributeDecl:
-    """The attribute with what it returns to of itself, and with whom it is kept about."""
+    """Return the attribute with the value that it returns to, and the species that it is stored about."""
     if node is None or (node.relax is None and node.each is None):
         return attribute
     to = over = None
@@ -201,7 +201,7 @@ def _parts(member: nodes.Let | nodes.Latch | nodes.Fuzzy) -> list[nodes.Expr]:
 
 
 def _bindings(scope: Scope, node: nodes.Species) -> list[Binding]:
-    """Lets, latches and rules, those used first before those that use them."""
+    """Return lets, latches and rules, each after those that it uses."""
     names = scope.species
     assert names is not None
     declared: dict[str, nodes.Let | nodes.Latch | nodes.Fuzzy] = {}
@@ -272,7 +272,7 @@ def _handler(scope: Scope, node: nodes.On, events: dict[str, Keys]) -> model.Han
 
 
 def _met(scope: Scope, node: nodes.On) -> str:
-    """The species whose agents a collision is with: the agent's own, or the one that is said; "" after a complaint."""
+    """Return the species of the other agent in a collision: the agent's own, or the one that is named; "" after an error."""
     assert scope.species is not None
     if node.species is None:
         return scope.species.name
@@ -292,7 +292,7 @@ def _met(scope: Scope, node: nodes.On) -> str:
 
 
 def _named_apart(scope: Scope, variable: nodes.Name) -> None:
-    """Complain about a name in the brackets of a collision that means something else already."""
+    """Report a name in the brackets of a collision that already has another meaning."""
     if variable.text in scope.declared.species:
         message = f"`{variable.text}` is a species, and what stands here names the other agent"
         scope.report.error("wrong-argument", message, variable.span, f"write `on collision(other: {variable.text})`")
@@ -338,7 +338,7 @@ def _layers(scope: Scope, node: nodes.Species) -> model.Layers:
 
 
 def _layer(scope: Scope, node: nodes.Layer, counts: dict[str, int]) -> model.Layer:
-    """A layer is known by the word it begins with: `separate`, and `separate#2` for a second one."""
+    """Check a layer. Its name is its first word: `separate`, and `separate#2` for a second one."""
     text = " ".join(node.push.span.text.split())
     steered = isinstance(node.push, nodes.NameRef) and node.push.name.text == "state" and not node.faces
     word = _word(node.push)

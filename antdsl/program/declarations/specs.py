@@ -1,4 +1,4 @@
-"""Specs: on which scene, how long, with which seeds and params, and what is expected of the whole and of each agent."""
+"""Specs: scene, duration, seeds and params, and the expectations for the whole and for each agent."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ class _Work:
 def check_spec(
     declared: Declared, names: FileNames, spec: nodes.Spec, params: Mapping[str, Param], fields: Mapping[str, Field]
 ) -> Spec:
-    """A spec with the types of all that it asks. Complains about what cannot be there."""
+    """Return a spec with the types of all its expressions. Reports names that cannot be used in a spec."""
     if spec.scene is not None and not spec.scene.text.endswith((".yaml", ".yml")):
         declared.report.error(
             "not-a-scene", f"`{spec.scene.text}` is not the name of a scene", spec.scene.span, 'write `on "scene.yaml"`'
@@ -122,7 +122,7 @@ def _share(work: _Work, line: nodes.SpecLine) -> float | None:
 
 
 def _against(work: _Work, line: nodes.SpecLine) -> Against:
-    """The run that is compared with; its `set` lines stand in a list of their own."""
+    """Return the reference run; its `set` lines are in a separate list."""
     report, scene = work.declared.report, line.target
     if isinstance(scene, nodes.Text) and not scene.text.endswith((".yaml", ".yml")):
         report.error(
@@ -203,7 +203,7 @@ def _set(work: _Work, line: nodes.SpecLine) -> None:
 
 
 def _bind(scope: Scope, target: nodes.Expr | nodes.Text, owner: str, value: str) -> None:
-    """What `forager.smell` or `trail.half_life` names: `owner` and `value` are the kinds of the two."""
+    """Bind the names in `forager.smell` or `trail.half_life`; `owner` and `value` are their kinds."""
     if isinstance(target, nodes.Member) and isinstance(target.owner, nodes.NameRef):
         name, word = target.owner.name.text, target.name.text
         scope.bind(target.owner.span, owner, name)
@@ -268,7 +268,7 @@ def _expect(work: _Work, line: nodes.SpecLine, species: str | None) -> None:
 
 
 def _in_time(work: _Work, line: nodes.SpecLine) -> bool:
-    """Whether `held` and `sooner` can be judged here; complains otherwise."""
+    """Return whether `held` and `sooner` can be judged here; report an error if not."""
     report = work.declared.report
     if line.held is not None and line.kind in ("always", "for"):
         words = f"`{line.kind}` with `held` is not so in the first frame, where nothing has held yet"
@@ -282,7 +282,7 @@ def _in_time(work: _Work, line: nodes.SpecLine) -> bool:
 
 
 def _fits(work: _Work, line: nodes.SpecLine, species: str | None, found: Expr, at_end: bool) -> bool:
-    """Whether the line can be judged; complains otherwise."""
+    """Return whether the line can be judged; report an error if not."""
     report, text = work.declared.report, quoted(found.span)
     if species is None and found.rate > Rate.STEP:
         names = [name for name, each in work.declared.species.items() if each.node is not None] or ["walker"]
@@ -312,7 +312,7 @@ def _fits(work: _Work, line: nodes.SpecLine, species: str | None, found: Expr, a
 
 
 def _readings(found: Expr, node: nodes.Expr) -> Iterator[Reading]:
-    """The sides of all comparisons of a condition, and what else it asks, in the order of the text."""
+    """Yield the sides of all comparisons of a condition, and its other values, in text order."""
     units = [part.unit for part, _ in written(node) if isinstance(part, nodes.Quantity)]
     stack: list[Expr] = [found]
     while stack:

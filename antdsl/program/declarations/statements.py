@@ -1,4 +1,4 @@
-"""What a state or an action does, checked: rates where a line runs every step, amounts where it happens once."""
+"""Statements of a state or an action, checked: rates if a line runs every step, amounts if it happens once."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from antdsl.syntax import nodes
 
 
 def statements(scope: Scope, lines: Iterable[object], block: Block) -> tuple[model.Statement, ...]:
-    """The statements of a block in text order; those that make no sense are left out after their complaint."""
+    """Return the statements of a block in text order, without those that have errors."""
     scope = scope.inside(once=not block.body)
     made: list[model.Statement] = []
     assigned: dict[str, Span] = {}
@@ -193,7 +193,8 @@ def _give(scope: Scope, line: nodes.Give, block: Block) -> model.Statement | Non
 
 
 def take(scope: Scope, line: nodes.Take) -> model.Take | None:
-    """`take 1 load from meal`, `take all load from grass`: the part of a change that is settled between all who ask."""
+    """Check `take 1 load from meal` or `take all load from grass`. It is the part of a transition that is settled among all
+    agents that claim it."""
     source = scope.typed(line.source, Type(Kind.PLACE)) if isinstance(line.source, nodes.NameRef) else None
     if source is None or source.type.kind is not Kind.FIELD:
         source = place(scope, line.source, "`from`")

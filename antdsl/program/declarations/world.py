@@ -1,4 +1,4 @@
-"""The world's things and the fields on them: what a program needs from a scene, checked without one."""
+"""The world's things and their fields: what a program needs from a scene, checked without one."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def outside(declared: Declared, names: FileNames, path: str) -> Scope:
 
 
 def declare_world(declared: Declared, names: FileNames) -> None:
-    """Add a file's `world` to what is declared. Two files may name the same thing if they mean the same."""
+    """Add a file's `world` to the declarations. Two files may declare the same thing if the declarations agree."""
     for item in names.node.items:
         if isinstance(item, nodes.World):
             for thing in item.items:
@@ -255,7 +255,7 @@ def _setting(type: Type, least: float | None = None, above: bool = False) -> Cal
 
 
 def of_the_run(report: Report, found: Expr, who: str) -> bool:
-    """Whether a value is the same for all agents and all steps; complains otherwise."""
+    """Return whether a value is equal for all agents and all steps; report an error otherwise."""
     if found.rate <= Rate.RUN:
         return True
     differs = "changes from step to step" if found.rate is Rate.STEP else "differs from agent to agent"
@@ -293,7 +293,7 @@ def _keeps(scope: Scope, node: nodes.Setting) -> Expr | None:
 
 
 def _word(scope: Scope, node: nodes.Setting) -> Expr | None:
-    """One of the words of a setting, as its number among them."""
+    """Return the number of a setting's word among the allowed words."""
     setting = node.name.text
     words = WORD_SETTINGS[setting]
     word = node.value.name.text if isinstance(node.value, nodes.NameRef) else ""
@@ -309,7 +309,7 @@ def _word(scope: Scope, node: nodes.Setting) -> Expr | None:
 
 
 def _chosen(setting: str, found: dict[str, Expr | None]) -> str:
-    """The word of a setting, the usual one where none was given or it is wrong."""
+    """Return the word of a setting; the default if it is absent or wrong."""
     given = found.get(setting)
     return WORD_SETTINGS[setting][int(given.number) if isinstance(given, Const) else 0]
 

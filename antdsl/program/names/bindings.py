@@ -1,10 +1,11 @@
-"""What the checker resolved each name of a program to, for those who ask where a name leads: an editor above all.
+"""The resolved meaning of each name of a program, above all for editors.
 
-A declaration is known by its kind and the names that lead to it, the same in all files that are checked together:
-("own", "forager", "load"). The kinds are `thing attribute field species own machine state let event behaviour inner alias`; an
-`own` is a param, attribute, let, latch or fuzzy of a species, an `inner` an argument or line of a behaviour. A name that the
-language gives to items, hits and agents is ("item-given", "radius"), ("hit-given", …) or ("given", …). Other words of the
-language are not listed: where a name has no binding and is such a word, it stands for that."""
+A declaration has a key: its kind and the names that lead to it, equal in all files that are checked together, such as ("own",
+"forager", "load"). The kinds are `thing attribute field species own machine state let event behaviour inner alias`. An `own` is a
+param, attribute, let, latch or fuzzy of a species. An `inner` is an argument or line of a behaviour.
+
+A name that the language gives to items, hits and agents is ("item-given", "radius"), ("hit-given", …) or ("given", …). Other
+words of the language are not listed: a name without a binding that is such a word has its built-in meaning."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""First look at the files: which behaviours each can call, and what all of them declare by name."""
+"""The first pass over the files: which behaviours each can call, and the names that all of them declare."""
 
 from __future__ import annotations
 
@@ -38,7 +38,8 @@ LIBRARIES = ("steering",)
 
 
 def module_key(using: nodes.File, written: str) -> str:
-    """The name under which a used file is looked up: its path, seen from the file that uses it, as `Source.path` has it."""
+    """Return the name under which a used file is looked up: its path relative to the file that uses it, in the form of
+    `Source.path`."""
     return posixpath.normpath(posixpath.join(posixpath.dirname(using.source.path.replace("\\", "/")), written))
 
 
@@ -49,7 +50,7 @@ class Loader:
         self.report = report
         self.library = library
         self.modules = modules or {}
-        self.complained = modules is not None  # whoever looked for the files has complained about those that are not there
+        self.complained = modules is not None  # missing files were reported by the code that looked for them
         self.known: dict[int, FileNames] = {}
         self.libraries: dict[str, FileNames | None] = {}
 
@@ -103,7 +104,7 @@ class Loader:
             self.libraries[name.text] = None if node is None else self.file(node, above)
         found = self.libraries[name.text]
         if found is None:
-            names.wanting.add(nearest_name(name.text, LIBRARIES) or "")  # what is missing from there was told with this
+            names.wanting.add(nearest_name(name.text, LIBRARIES) or "")  # this covers all that is missing from there
             self.report.error(
                 "unknown-library",
                 f"no library `{name.text}`",
@@ -176,7 +177,7 @@ def free(report: Report, name: nodes.Name) -> bool:
 
 
 def free_in_species(report: Report, name: nodes.Name, value: Span) -> bool:
-    """The same for what a species declares, where the given names are taken as well."""
+    """Like `free`, for members of a species, where built-in names are taken too."""
     given = GIVEN.get(name.text)
     if given is None:
         return free(report, name)

@@ -24,14 +24,14 @@ class Declaration:
 
 
 def declarations(file: nodes.File) -> Found:
-    """The declarations of a file. Of those with one key the first counts, as for the checker: the `species` itself before what
-    `world` says of it."""
+    """Return the declarations of a file. The first of equal keys counts, as in the checker: the `species` itself before its entry
+    in `world`."""
     for item in sorted(file.items, key=lambda item: isinstance(item, nodes.World)):
         yield from _TOP[type(item)](file.source.path, item)
 
 
 def declaration(member: object) -> Any:
-    """What declares a name of the species' own, or None."""
+    """Return the node that declares a name of the species, or None."""
     if isinstance(member, nodes.ParamDecl):
         return member.declaration
     return member if isinstance(member, (nodes.Declaration, nodes.Let, nodes.Latch, nodes.Fuzzy)) else None

@@ -1,4 +1,4 @@
-"""A name that is not declared, where a thing of the world is wanted: the line of `world` that it lacks."""
+"""A name that is not declared, in the place of a thing of the world: the line of `world` that it lacks."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from antdsl.program.tables.things import KINDS_OF_THINGS
 from antdsl.source import Span
 from antdsl.syntax import nodes
 
-# What the line begins with, by the kind that is wanted, and the kinds of things that may stand there.
+# What the line begins with, by the kind that is needed, and the kinds of things that may be there.
 _LINES: dict[Kind, tuple[str, tuple[str, ...]]] = {
     **{Kind(row.word): (row.word, row.serves) for row in KINDS_OF_THINGS.values() if row.serves},
     Kind.PLACE: ("items", ("items", "curve", "obstacle", "solid")),
@@ -18,8 +18,8 @@ _LINES: dict[Kind, tuple[str, tuple[str, ...]]] = {
 
 
 def missing_thing(scope: Scope, name: str, want: Type | None) -> tuple[str, Fix | None] | None:
-    """What to write for a name that nothing has, where such a thing is wanted: one that is declared, or its declaration. None
-    where the place wants no thing of the world."""
+    """Return what to write for an unknown name in the place of a thing of the world: a declared one, or its declaration. None if
+    the place needs no thing of the world."""
     if want is None or want.kind not in _LINES:
         return None
     word, kinds = _LINES[want.kind]

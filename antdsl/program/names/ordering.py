@@ -1,4 +1,4 @@
-"""What depends on what by name: declarations put in an order in which each comes after those it uses."""
+"""Orders declarations so that each comes after those that it uses."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ def ordered(
     uses: Callable[[T], Iterable[object]],
     name_of: Callable[[T], nodes.Name],
 ) -> tuple[list[T], set[str]]:
-    """The declarations, those used before those that use them, and the names that stand in a circle.
+    """Return the declarations in an order in which each follows those that it uses, and the names in a cycle.
 
-    `uses` gives the trees in which to look for names. A circle is complained about once; it is cut open for the order."""
+    `uses` gives the trees in which to look for names. A cycle is reported once, and cut for the order."""
     graph = {name: _used(each, declared, uses) for name, each in declared.items()}
     done: set[str] = set()
     circular: set[str] = set()

@@ -29,7 +29,7 @@ PER_SECOND = Type(Kind.NUMBER, Dim(time=-1))
 
 @dataclass(slots=True)
 class MachineNames:
-    """States of a machine by name, with their index; `key` is `species.machine`, as a state's type says it."""
+    """States of a machine by name, with their index; `key` is `species.machine`, as in the type of a state."""
 
     name: str
     key: str
@@ -46,13 +46,13 @@ class SpeciesNames:
     each: dict[str, str] = field(default_factory=dict)  # attributes with a value per pair, and the species of the other
     params: dict[str, Type] = field(default_factory=dict)
     bindings: dict[str, Binding] = field(default_factory=dict)  # lets and latches, once they are checked
-    pending: set[str] = field(default_factory=set)  # declared names whose type is not known yet
+    pending: set[str] = field(default_factory=set)  # declared names without a known type yet
     machines: dict[str, MachineNames] = field(default_factory=dict)
 
 
 @dataclass(slots=True)
 class BehaviourInfo:
-    """A behaviour with what its calls need to know. `size` and `depth` count all behaviours inside it as put in place."""
+    """A behaviour with all that its calls need. `size` and `depth` count nested behaviours as expanded."""
 
     node: nodes.Behaviour
     file: FileNames
@@ -74,7 +74,7 @@ class FileNames:
     aliases: dict[str, FileNames] = field(default_factory=dict)
     libraries: list[str] = field(default_factory=list)
     missing: bool = False  # stands for a file that could not be read
-    wanting: set[str] = field(default_factory=set)  # libraries whose `use` is missing, told already
+    wanting: set[str] = field(default_factory=set)  # libraries with missing `use`, reported already
 
     def behaviour(self, name: str) -> BehaviourInfo | None:
         return self.own.get(name) or self.library.get(name)
@@ -82,7 +82,7 @@ class FileNames:
 
 @dataclass(slots=True)
 class Declared:
-    """All that the files of one program declare together, what of it is used, and the complaints so far."""
+    """All declarations of the files of one program, the uses of them, and the findings so far."""
 
     rules: Rules
     report: Report
@@ -96,7 +96,7 @@ class Declared:
     bound: list[Use] = field(default_factory=list)  # names with what they were resolved to, in the order of checking
     used: set[tuple[str, str]] = field(default_factory=set)
     written: set[str] = field(default_factory=set)  # attributes, as `species.name`
-    unclear: set[str] = field(default_factory=set)  # things of the world of which the kind is not known, told already
+    unclear: set[str] = field(default_factory=set)  # things of the world of unknown kind, reported already
     unknown: dict[tuple[str, ...], list[Span]] = field(default_factory=dict)  # names by where they are missing: all places
     expanded: int = 0  # operations of all behaviours that were put in place
     memo: Memo | None = None  # what an earlier check found
@@ -104,9 +104,9 @@ class Declared:
 
 
 def told_before(scope: Scope, kind: str, name: nodes.Name, owner: str = "") -> bool:
-    """Whether it was told that a name is missing; from now on it was. What is not there is missing everywhere: that is one
-    mistake, and the places are noted. `kind` keeps names of different kinds apart; `owner` is a species to which such a name
-    belongs wherever it is asked for."""
+    """Return whether a name was reported as missing already; from now on it is. A missing name is missing everywhere: that is one
+    mistake, and the places are noted. `kind` separates names of different kinds; `owner` is a species to which such a name
+    belongs wherever it is used."""
     around = (scope.file.node.source.path, scope.species.name if scope.species else "", scope.behaviour or "")
     where = (kind, *((owner,) if owner else around), name.text)
     if where in scope.declared.unknown:
@@ -132,7 +132,7 @@ class Keys:
 
 @dataclass(frozen=True, slots=True)
 class Scope:
-    """One place of the text. Made anew with `inside(…)` wherever something about the place changes."""
+    """One place of the text. `inside(…)` makes a new one wherever something about the place changes."""
 
     declared: Declared
     file: FileNames
@@ -144,7 +144,7 @@ class Scope:
     element: Binding | None = None  # in `with:` its attributes come first
     sets: tuple[Binding, ...] = ()  # elements of the sets around this place
     behaviour: str | None = None  # the behaviour this place belongs to; a species' own names are not seen from inside
-    generic: bool = False  # a behaviour by itself: types may still be open
+    generic: bool = False  # a behaviour alone: types may still be open
     no_keep: str | None = None  # why no memory may stand here, in words
     no_let: str | None = None  # why a `let` cannot be read here
     shades: bool = False  # a rule of `fuzzy`: beside a shade of truth a yes or no counts as 1 or 0
@@ -154,34 +154,35 @@ class Scope:
         return replace(self, **changes)
 
     def typed(self, node: nodes.Expr, want: Type | None = None) -> Expr:
-        """The expression with its type. `want` lets `none` and bare names know what they stand for; it is not enforced."""
+        """Return the expression with its type. `want` gives `none` and bare names their meaning; it is not enforced."""
         return self.declared.rules[type(node)](self, node, want)
 
     def bind(self, span: Span, *key: str) -> None:
-        """Leave behind what the name at a place was resolved to. A behaviour put in place of its call is no place of the text."""
+        """Record what the name at a place was resolved to. Names in an expanded behaviour are not recorded: they are not at that
+        place of the text."""
         if self.behaviour is None or self.generic:
             self.declared.bound.append(Use(span, key))
 
     def bind_local(self, span: Span, declared: Span) -> None:
-        """The same for a name that is declared in the text around."""
+        """Like `bind`, for a name that is declared in the surrounding text."""
         if self.behaviour is None or self.generic:
             self.declared.bound.append(Use(span, declared))
 
     def bind_thing(self, name: nodes.Name) -> None:
-        """The same for a name that can only be that of a species or a thing of the world."""
+        """Like `bind`, for a name that can only be a species or a thing of the world."""
         kinds = (("species", self.declared.species), ("thing", self.declared.things))
         for kind in (kind for kind, known in kinds if name.text in known):
             self.bind(name.span, kind, name.text)
             return
 
     def bind_own(self, span: Span, name: str, own: SpeciesNames | None = None) -> None:
-        """The same for a name that can only be a species' own, this one's or another's."""
+        """Like `bind`, for a name that can only be a member of a species: this one or another."""
         own = own or self.species
         if own is not None and (name in own.attributes or name in own.params or name in own.bindings or name in own.pending):
             self.bind(span, "own", own.name, name)
 
     def bind_value(self, span: Span, owner: Type, name: str) -> None:
-        """The same for a value of an item, agent or hit, which is there."""
+        """Like `bind`, for an existing value of an item, agent or hit."""
         if owner.kind is Kind.AGENT:
             self.bind(span, *(("given", name) if name in GIVEN else ("own", owner.of or "", name)))
         elif owner.kind is Kind.HIT or owner.of == "hit":
@@ -192,7 +193,7 @@ class Scope:
             self.bind(span, *(("attribute", owner.of or "", name) if own else ("item-given", name)))
 
     def bind_unreadable(self, name: nodes.Name, owner: Type) -> None:
-        """The same for what is declared and cannot be read so: a param of one agent, a value of all items."""
+        """Like `bind`, for a declared value that cannot be read this way: a param of one agent, a value of all items."""
         one = Type(Kind.ITEM, of=owner.of)
         if owner.kind in (Kind.AGENT, Kind.SPECIES) and owner.of in self.declared.species:
             self.bind_own(name.span, name.text, self.declared.species[owner.of])
@@ -250,7 +251,7 @@ def _words(table: Mapping[str, str]) -> dict[str, Type]:
 
 
 def did_you_mean(word: str, candidates: Iterable[str], otherwise: str | None = None) -> str:
-    """The words of a help line for a name that is not known: the name that was meant, or `otherwise`, or what there is."""
+    """Return the help text for an unknown name: the name that was probably meant, or `otherwise`, or the known names."""
     known = list(candidates)
     found = nearest_name(word, known)
     if found:

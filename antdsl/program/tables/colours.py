@@ -1,6 +1,7 @@
-"""The colours an artist may write after a state's label.
+"""The colours that an artist may use after a state's label.
 
-Takes a word, gives display (sRGB) values; the checker asks whether a word is a colour, caches and pictures for the numbers."""
+The input is a word, the output are display (sRGB) values. The checker asks whether a word is a colour; caches and pictures use
+the numbers."""
 
 from collections.abc import Mapping
 from types import MappingProxyType
@@ -95,5 +96,5 @@ def rgb(name: str) -> RGB | None:
 
 
 def default_rgb(index: int) -> RGB:
-    """The colour of the `index`-th state (0 or more) that names none."""
+    """Return the colour of the `index`-th state (from 0) without a declared colour."""
     return COLOURS[DEFAULT_TURN[index % len(DEFAULT_TURN)]]

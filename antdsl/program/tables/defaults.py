@@ -1,4 +1,4 @@
-"""Defaults that the vocabulary gives as the language would write them: `360 deg`, `0 .. 1`, `mass * max_speed / response`."""
+"""Default values in the vocabulary, written in the language: `360 deg`, `0 .. 1`, `mass * max_speed / response`."""
 
 from __future__ import annotations
 

@@ -1,9 +1,9 @@
-"""What an agent may ask of the rest of the world: each a row from which the checks of its line, the plan's statement with its
-checks and its text, the record of a step, the trace, the costs and the editor's words are made.
+"""The requests that an agent may make of the world, one row each. A row defines the checks of its line, the plan's statement with
+its checks and text, and the record of a step. It also defines the trace, the costs and the editor's words.
 
-How its line is written is the row of the same word in `antdsl.syntax.verbs`; what settles it stands in `SETTLES` of
-`antdsl.runtime.phases`. What is settled between all who ask (`take`, `give`) and what changes only the agent itself is no row.
-"""
+The syntax of its line is the row of the same word in `antdsl.syntax.verbs`. The function that settles it is in `SETTLES` of
+`antdsl.runtime.phases`. Requests that are settled among several agents (`take`, `give`) and statements that change only the agent
+itself have no row."""
 
 from __future__ import annotations
 
@@ -16,18 +16,18 @@ from antdsl.program.tables.rows import Arg, Cost
 
 @dataclass(frozen=True, slots=True)
 class Effect:
-    """`target`: the kind of what it names, "" for none. `args`: what stands behind the name; one of type `added A` is written
-    without brackets, one of type `agent` behind the word `to`. `computed`: the operands of the plan, by name, where
-    `OPERANDS` of `antdsl.plan.lowering.actions` has a function that works them out. `phase`: the phase of a step that settles
-    it. `help`: for the editor; `meaning`: for readers of plans. `too_often`: what is wrong with its line in a state's body;
-    "" where it may stand there. `last`: the agent is gone after it. `draws`: random numbers hang on where it stands in the
-    text. `feeds`: what it names gets by it what others look for, as a field gets scent and an event is raised.
+    """`target`: the kind of what it names, "" for none. `args`: what follows the name; one of type `added A` is written without
+    brackets, one of type `agent` after the word `to`. `computed`: the operands of the plan, by name, if `OPERANDS` of
+    `antdsl.plan.lowering.actions` has a function that computes them. `phase`: the phase of a step that resolves it. `help`: for
+    the editor; `meaning`: for readers of plans. `too_often`: what is wrong with its line in a state's body; "" if it may be
+    there. `last`: the agent is removed after it. `draws`: random numbers depend on its place in the text. `feeds`: it supplies
+    what it names with what others look for, as a field gets scent and an event is raised.
 
-    `shown` is its line of a plan and `trace` that of a trace: `{of}` what it names, `{own}` the agent's register that it
-    fills after the blocks, `{whom}` (in a trace) the species of the one agent that it is for, and the operands by name; a
-    part in square brackets is left out where one of these is missing. `refused`: how a fault is called if an operand is not
-    finite; "" where that does not matter. `above_0`: nothing is asked where the first operand is 0 or less; `quiet_at_0`: a
-    trace does not tell of a first operand of 0."""
+    `shown` is its line of a plan and `trace` that of a trace. `{of}` is what it names, `{own}` the agent's register that it fills
+    after the blocks. `{whom}` (in a trace) is the species of the one agent that it is for; operands are by name. A part in square
+    brackets is left out if one of these is missing. `refused`: the name of the fault if an operand is not finite; "" if that does
+    not matter. `above_0`: nothing is requested if the first operand is 0 or less; `quiet_at_0`: a trace omits a first operand of
+    0."""
 
     op: str
     target: str
@@ -49,7 +49,7 @@ class Effect:
 
     @property
     def numbers(self) -> tuple[Arg, ...]:
-        """The arguments that are worked out; the others name an attribute."""
+        """Return the arguments that are computed; the others name an attribute."""
         return tuple(arg for arg in self.args if not arg.type.startswith("own "))
 
     @property
@@ -138,7 +138,7 @@ def settled_in(phase: str) -> tuple[str, ...]:
 
 
 def feeding(kind: str) -> frozenset[str]:
-    """The effects that feed what they name, a `field` or an `event`."""
+    """Return the effects that add to the thing they name, a `field` or an `event`."""
     return frozenset(row.op for row in EFFECTS.values() if row.feeds and row.target == kind)
 
 

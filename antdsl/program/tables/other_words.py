@@ -1,4 +1,4 @@
-"""Words that other tools have, as calls and as names, and what is written for them here."""
+"""Words from other tools, as calls and as names, and their replacements in this language."""
 
 from __future__ import annotations
 
@@ -59,8 +59,8 @@ _WHOLE = (nodes.Number, nodes.Quantity, nodes.NameRef, nodes.Call, nodes.Member,
 
 
 def instead_of_call(node: nodes.Call, word: str) -> tuple[str, bool] | None:
-    """What is written for a call of such a word, and whether it is made of the arguments as written: with letters for them where
-    they are more or fewer than it takes."""
+    """Return the replacement for a call of such a word, and whether it uses the arguments as in the source. If their number does
+    not match, letters stand for them."""
     if word in NAMES and not node.arguments:
         return NAMES[word], True
     form = CALLS.get(word)

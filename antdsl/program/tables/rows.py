@@ -1,7 +1,6 @@
-"""What a row of the tables of the language can say: an argument, a word that is called, a sense, a set, a request to the world.
+"""Rows of the tables of the language: an argument, a callable word, a sense, a set, a request to the world.
 
-Rows are data. The functions that lower, compute and settle stand in the tables of their own rooms, under the same `op`.
-"""
+Rows are data. The functions that lower, compute and settle are in tables of their own packages, under the same `op`."""
 
 from __future__ import annotations
 
@@ -10,12 +9,16 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True, slots=True)
 class Arg:
-    """One argument. `type`: a type word; `number A` is a number of any dimension, the same for every A of the call; `vector A`
-    likewise; `range A` two such numbers (they fill two places of the operation); `count` a whole constant; `any A` anything,
-    all alike; `condition` a bool about the element. Of a statement also `added T`, so much a second in a state and an amount
-    elsewhere, and `own U`, the name of an attribute of the agent's, in a unit or of a type. `default` as the language would write
-    it; `optional` may be absent (None). A constant has to lie above `above` and be whole where `whole` is set. `called`: what it
-    is, in a message; `sample`: how a statement may give it."""
+    """One argument.
+
+    - `type`: a type word, or one of the following. `number A`: a number of any dimension, equal for every A of the call;
+      `vector A` likewise. `range A`: two such numbers, in two places of the operation. `count`: a whole constant.
+      `any A`: anything, all of one type. `condition`: a bool about the element.
+    - In statements also: `added T`, a rate per second in a state and an amount elsewhere; `own U`, the name of an
+      attribute of the agent, in a unit or of a type.
+    - `default`: written in the language. `optional`: may be absent (None).
+    - `above`, `whole`: a constant must be above this, and be whole.
+    - `called`: its name in messages. `sample`: an example for statements."""
 
     name: str
     type: str
@@ -30,9 +33,9 @@ class Arg:
 
 @dataclass(frozen=True, slots=True)
 class Cost:
-    """What `antdsl check --cost` says of a use: rough weight (one addition is 1), words with `{thing}` (what is named) and
-    `{count}`, and the heading. `times`: the number of the argument that multiplies the weight, `often` where that is not a
-    constant. `within`: the number of the argument that says how far. `named`: counts only where a thing of the world is named."""
+    """The cost of a use for `antdsl check --cost`: a rough weight (one addition is 1), a text with `{thing}` (the named thing)
+    and `{count}`, and the heading. `times`: the index of the argument that multiplies the weight; `often` is used if that is not
+    a constant. `within`: the index of the argument with the distance. `named`: counts only if a thing of the world is named."""
 
     weight: float
     words: str
@@ -47,9 +50,9 @@ class Cost:
 class Builtin:
     """A word of the language for an operation of the typed tree, `op`.
 
-    `spoken`: by a `call`, by the bare `name`, or as the `value` of a thing whose name stands where a value is wanted. `called`:
-    its name, where that is not `op`. `part`: which result of its sense it is. `sense`: it hangs on the agent, whatever the
-    arguments. `draws`: it takes a random number. `interval`: where its values lie. `sample`: how it looks in a line."""
+    `spoken`: by a `call`, by the bare `name`, or as the `value` of a thing, if its name is in the place of a value. `called`: its
+    name, if that is not `op`. `part`: which result of its sense it is. `sense`: it depends on the agent, whatever the arguments.
+    `draws`: it takes a random number. `interval`: the range of its values. `sample`: how it looks in a line."""
 
     args: tuple[Arg, ...]
     result: str
@@ -80,11 +83,11 @@ class Part:
 
 @dataclass(frozen=True, slots=True)
 class Sense:
-    """An operation of the plan that looks at the world from where the agent stands, and the words that ask it.
+    """An operation of the plan that reads the world from the agent's position, and the words for it.
 
-    `of`: the kind of thing that its first attribute names, "" for none; `attrs`: further attributes. `operands`: kinds, a letter
-    each. `trace`: how a trace says the results, by the names of the parts (for three or more numbers, all of them, if it is not
-    given); `nothing`: what it says where the first part is false. `quiet`: a trace does not tell of it."""
+    `of`: the kind of thing that its first attribute names, "" for none. `attrs`: further attributes. `operands`: kinds, one
+    letter each. `trace`: the trace text of the results, by the names of the parts; without it, three or more numbers are all
+    listed. `nothing`: the trace text if the first part is false. `quiet`: left out of traces."""
 
     op: str
     of: str
@@ -104,14 +107,14 @@ class Sense:
 
     @property
     def spelled(self) -> str:
-        """The results and what they mean, as the plan's table says it."""
+        """Return the results and their meaning, as in the plan's table."""
         if len(self.kinds) == 1:
             return self.meaning
         names = (f"{part.name}{axis} {part.kind}" for part in self.results for axis in ("xyz" if part.size == 3 else ("",)))
         return f"({', '.join(names)}): {self.meaning}"
 
     def place(self, part: str) -> tuple[int, int]:
-        """Where a result stands among all numbers, and how many it has."""
+        """Return the index of a result among all numbers, and its size."""
         first = 0
         for each in self.results:
             if each.name == part:
@@ -122,8 +125,8 @@ class Sense:
 
 @dataclass(frozen=True, slots=True)
 class SetSense:
-    """A word that gives a set: `op` is the source of a set in the typed tree, `sets` the operations of the plan that it can
-    become, `rows` what it takes, told apart by the kind of the first argument."""
+    """A word that returns a set. `op` is the source of a set in the typed tree, `sets` the operations of the plan that it can
+    become. `rows` is what it takes, distinguished by the kind of the first argument."""
 
     op: str
     rows: tuple[Builtin, ...]

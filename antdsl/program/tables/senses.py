@@ -1,8 +1,7 @@
-"""The senses: each a row from which the words, types, costs, ranges, plan, trace and the editor's help are made.
+"""The senses: each a row that defines the words, types, costs, ranges, plan, trace and the editor's help.
 
-A sense is added by a row here and a function of the same `op` in `antdsl.runtime.sensing`; only one whose operands have to be
-computed has a rule of its own in `antdsl.plan.lowering.rules.senses`.
-"""
+To add a sense, add a row here and a function of the same `op` in `antdsl.runtime.sensing`. Only a sense with computed operands
+needs a separate rule in `antdsl.plan.lowering.rules.senses`."""
 
 from __future__ import annotations
 
@@ -287,7 +286,7 @@ _ROWS = (
 )
 SENSES: dict[str, Sense] = {row.op: row for row in _ROWS}
 
-# Words that mean several operations, by the kind of what is asked about: their rules are in `antdsl.plan.lowering.rules`.
+# Words that mean several operations, by the kind of their subject: their rules are in `antdsl.plan.lowering.rules`.
 WORDS = (
     Builtin(
         (Arg("to", "place"),),
@@ -362,13 +361,13 @@ WORDS = (
 
 
 def spoken(how: str) -> tuple[Builtin, ...]:
-    """The words of senses that are said in a way: by a `call`, by a bare `name`, or as the `value` of a thing."""
+    """Return the words of senses with one syntax: by a `call`, by a bare `name`, or as the `value` of a thing."""
     every = (*(word for sense in _ROWS for word in sense.words), *WORDS)
     return tuple(word for word in every if word.spoken == how)
 
 
 def asked(op: str) -> Sense | None:
-    """The sense that an operation of the typed tree asks, if it is one of its words."""
+    """Return the sense that an operation of the typed tree reads, or None if it is not one of its words."""
     return _ASKED.get(op)
 
 

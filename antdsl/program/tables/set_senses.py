@@ -1,5 +1,4 @@
-"""The words that give a set, each a row; how they are found is in `SETS` of `antdsl.program.types.sets` and in the lowering of
-sets."""
+"""The words that give a set, one row each. `SETS` of `antdsl.program.types.sets` and the lowering of sets evaluate them."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
-"""The kinds of things of the world: rows from which type words, the words of messages about programs and scenes, the plan's lists
-and the editor's help are made."""
+"""The kinds of things of the world, one row each. Type words, message texts for programs and scenes, the plan's lists and the
+editor's help come from them."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ from dataclasses import dataclass
 @dataclass(frozen=True, slots=True)
 class KindOfThing:
     """`word`: as `world { … }` declares it. `called`: in messages, where "a" and the word are not enough. `serves`: kinds of
-    things that may stand where this one is wanted. `typed`: what it is as the type of an argument; "" where it is no type word.
-    In a scene it is `given` as such, in messages `scene`, in an editor `snippet`."""
+    things that may replace this one. `typed`: what it is as the type of an argument; "" if it is no type word. In a scene it is
+    `given` as such, in messages `scene`, in an editor `snippet`."""
 
     word: str
     help: str

@@ -1,4 +1,4 @@
-"""Units and dimensions: what a written quantity is worth in base units, and how an artist calls a dimension."""
+"""Units and dimensions: the value of a quantity in base units, and the words for a dimension."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _PART = re.compile(r"([*/]?)([A-Za-z]+|%)(?:\^(\d+))?")
 
 @dataclass(frozen=True, slots=True)
 class Measure:
-    """What one of a unit is worth: `factor` base units times `unit ** u` (mm per scene unit) and `dt ** step`."""
+    """The value of one unit: `factor` base units times `unit ** u` (mm per scene unit) and `dt ** step`."""
 
     dim: Dim
     factor: float
@@ -33,7 +33,7 @@ def product(a: Dim, b: Dim, power: float = 1) -> Dim:
 
 
 def measure(unit: str) -> Measure | None:
-    """What `mm/s`, `%/s`, `/step` or `mm^2/s` is worth; None for a unit that the language does not know."""
+    """Return the value of `mm/s`, `%/s`, `/step` or `mm^2/s`; None for an unknown unit."""
     dim, factor, u, step, position = Dim(), 1.0, 0.0, 0.0, 0
     text = unit.replace(" ", "")
     for part in _PART.finditer(text):
@@ -50,7 +50,7 @@ def measure(unit: str) -> Measure | None:
 
 
 def constant(value: float, unit: str, span: Span) -> Const | None:
-    """The constant that a quantity stands for; None when its unit is not known."""
+    """Return the constant for a quantity; None if its unit is unknown."""
     known = measure(unit)
     if known is None:
         return None
@@ -107,13 +107,13 @@ def shown(value: float) -> str:
 
 
 def with_unit(value: float, dim: Dim) -> str:
-    """`30 mm` for 30 and a length: the author's number with a unit of the dimension that is wanted."""
+    """Return `30 mm` for 30 and a length: the author's number with a unit of the given dimension."""
     unit = unit_of(dim)
     return f"{shown(value)} {unit}".strip()
 
 
 def unit_spelling(node: nodes.Expr) -> str:
-    """The unit that the author wrote in an expression, the first there is; empty when there is none."""
+    """Return the first unit in the text of an expression; empty if there is none."""
     stack: list[object] = [node]
     while stack:
         part = stack.pop()

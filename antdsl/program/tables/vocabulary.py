@@ -1,8 +1,7 @@
-"""Every word that the language knows by itself, as tables: units, types, given names, built-in operations, phases of what works.
+"""Every built-in word of the language, as tables: units, types, built-in names, and built-in operations with costs and ranges.
 
-The checker types calls by these tables, the lowering has one rule per operation name, the editor shows the help.
-Adding an operation is one row here and one rule in `plan/lowering/rules`; senses are rows of `program/tables/senses`.
-"""
+The checker types calls by these tables, the lowering has one rule per operation name, the editor shows the help. To add an
+operation, add one row here and one rule in `plan/lowering/rules`; senses are rows of `program/tables/senses`."""
 
 from __future__ import annotations
 
@@ -228,10 +227,10 @@ def _with_senses(plain: dict[str, tuple[Builtin, ...]]) -> dict[str, tuple[Built
     return found | {row.op: row.rows for row in set_senses.SET_SENSES.values()}
 
 
-# Called as functions. Names with several rows are told apart by the first argument's type; the first row that fits wins.
+# Called as functions. Names with several rows are distinguished by the first argument's type; the first row that fits wins.
 BUILTINS: dict[str, tuple[Builtin, ...]] = _with_senses(_PLAIN)
 
-# Senses as other tools and everyday words call them, and what is asked here instead.
+# Senses as other tools and everyday words call them, and what to write here instead.
 _OTHER_SENSES = (
     ("smell smells smelling sniff scent odour", "`nearest(X, within: 40 mm)` for things, or the name of a field: `trail > 0.1`"),
     (

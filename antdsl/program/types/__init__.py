@@ -1,6 +1,5 @@
-"""What an expression is: its dimension, kind and rate, and the complaints about it.
+"""The types of expressions: dimension, kind and rate, and the findings about them.
 
-`rules` says which function gives the type of which node. `expressions` has literals and names, `operators` signs and words
-between values, `calls` and `arguments` calls, `sets` sets and what is reduced over them, `states` questions about states,
-`aggregates` what only a spec can ask. `folding` does arithmetic on constants. `descriptions` has the words of complaints that
-several share."""
+`rules` maps each node to the function that types it. `expressions` has literals and names, `operators` operators, `calls` and
+`arguments` calls. `sets` has sets and reductions over them, `states` questions about states, `aggregates` expressions that only
+specs can use. `folding` does arithmetic on constants. `descriptions` has shared texts of findings."""

@@ -1,4 +1,4 @@
-"""Types of what only a spec can ask: `total(food.load)`, `share(state == carry)`, `at_start`, `motion.circling`."""
+"""Types of expressions that only specs can use: `total(food.load)`, `share(state == carry)`, `at_start`, `motion.circling`."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ _VOLUME = Type(Kind.NUMBER, Dim(length=3))
 
 
 class SpecRules:
-    """The rules of the language with those of a spec before them, while one condition is looked at."""
+    """The rules of specs, ahead of those of the language, while one condition is checked."""
 
     def __init__(self, declared: Declared, compares: bool = False) -> None:
         self.plain = declared.rules
@@ -38,7 +38,7 @@ class SpecRules:
         if compares:
             self.compared["other"] = self._in_other
         self.inside = False  # a `total(…)` or its like
-        self.cells = ""  # the field whose cells are asked there
+        self.cells = ""  # the field with those cells
         self.other: Expr | None = None  # the other side of the comparison that `at_start` or `other` stands in
         own: dict[type, Callable[..., Expr]] = {
             nodes.Call: self._call, nodes.NameRef: self._name, nodes.Member: self._member, nodes.Binary: self._binary,
@@ -84,7 +84,7 @@ class SpecRules:
         return AtStart(found.type, found.rate, span, found)
 
     def _in_other(self, scope: Scope, found: Expr, span: Span) -> Expr:
-        """What a number of the whole is in the run that is compared with."""
+        """Return the value of a number about the whole in the reference run."""
         if found.type.kind is Kind.BAD:
             return bad(span)
         if self.inside or scope.species is not None or found.type.kind is not Kind.NUMBER or found.rate > Rate.STEP:
@@ -134,7 +134,7 @@ class SpecRules:
         return bad(node.span)
 
     def _one_of_many(self, scope: Scope, owner: str, node: nodes.Member) -> bool:
-        """Complains about `forager.load` where nobody says which forager."""
+        """Return whether `forager.load` names no single forager; report an error then."""
         kind, name = _things(scope.declared, owner), node.name.text
         type = Type(Kind.AGENT if kind is Kind.SPECIES else Kind.ITEM, of=owner)
         params = scope.declared.species[owner].params if kind is Kind.SPECIES else {}
@@ -280,7 +280,7 @@ class SpecRules:
         return bad(node.span)
 
     def _of_set(self, scope: Scope, found: Reduce) -> Expr:
-        """`count(n in forager: n.load > 0)`: a set of all is a whole; anything nearer needs somebody whose it is."""
+        """Type `count(n in forager: n.load > 0)`: a set of all is a whole; anything nearer needs an agent as its owner."""
         over = found.over
         if self._nested(scope, found.span):
             return bad(found.span)
@@ -307,7 +307,7 @@ def _result(how: str, body: Expr | None) -> Type:
 
 
 def _says(root: nodes.Expr, words: Container[str]) -> bool:
-    """Whether a word such as `at_start` stands there by itself, and not as `at_start(…)`."""
+    """Return whether a word such as `at_start` is in the expression alone, and not as `at_start(…)`."""
     called = {id(part.function) for part, _ in written(root) if isinstance(part, nodes.Call)}
     return any(isinstance(p, nodes.NameRef) and p.name.text in words and id(p) not in called for p, _ in written(root))
 
@@ -322,17 +322,18 @@ def _is_set(scope: Scope, node: nodes.Expr) -> bool:
 
 
 def _cells_of(declared: Declared, asked: nodes.Expr) -> str:
-    """The field whose cells a question is about, `trail.value > 0.1`; empty where it is about none."""
+    """Return the field with the cells that a question is about, `trail.value > 0.1`; empty if it is about none."""
     members = [part for part, _ in written(asked) if isinstance(part, nodes.Member) and part.name.text == "value"]
     owners = [part.owner.name.text for part in members if isinstance(part.owner, nodes.NameRef)]
     return next((name for name in owners if name in declared.fields), "")
 
 
-# --- of whom ---------------------------------------------------------------------------------------------------------
+# --- subjects --------------------------------------------------------------------------------------------------------
 
 
 def _whom(scope: Scope, node: nodes.Call, asked: nodes.Expr) -> Type | None:
-    """The species or items that a question is about: those whose value it names, else the only ones who have such values."""
+    """Return the species or items that a question is about: those with a value that it names, else the only ones with such
+    values."""
     declared = scope.declared
     owners = [part.owner for part, _ in written(asked) if isinstance(part, nodes.Member)]
     named = [owner.name.text for owner in (*owners, asked) if isinstance(owner, nodes.NameRef)]
@@ -372,7 +373,7 @@ def _things(declared: Declared, name: str) -> Kind | None:
 
 
 def _knows(declared: Declared, species: str, asked: nodes.Expr) -> bool:
-    """Whether a species has every value that is named bare, as far as names alone tell."""
+    """Return whether a species has every value that is named bare, judged by names alone."""
     names = declared.species[species]
     states = {state for machine in names.machines.values() for state in machine.states}
     mine = {*names.attributes, *names.params, *names.bindings, *names.pending, *names.machines, *states, *GIVEN}
@@ -384,7 +385,7 @@ def _knows(declared: Declared, species: str, asked: nodes.Expr) -> bool:
 
 
 def _one_of(scope: Scope, over: Type, span: Span) -> tuple[Scope, tuple[Binding, ...]]:
-    """The place where one of them is asked, and the name that stands for it where it is an item."""
+    """Return the scope in which one of them is evaluated, and the name that stands for it if it is an item."""
     name = over.of or ""
     if over.kind is Kind.SPECIES:
         who = Thing(Type(Kind.AGENT, of=name), Rate.AGENT, span, "self")

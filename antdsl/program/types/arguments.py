@@ -23,7 +23,7 @@ Found = dict[str, list[nodes.Argument]]
 
 @dataclass(frozen=True, slots=True)
 class Slot:
-    """One argument of what is called. `required` ones have no default and are not optional; `range`: two values with `..`."""
+    """One parameter. `required` ones have no default and are not optional; `range`: two values with `..`."""
 
     name: str
     required: bool
@@ -32,8 +32,8 @@ class Slot:
 
 
 def arranged(scope: Scope, called: str, slots: Sequence[Slot], node: Called, form: str = "") -> Found | None:
-    """The arguments by the slot they belong to; None after a complaint that leaves the call without sense. `form`: how the call
-    is written up to its bracket, where that is not `called`."""
+    """Return the arguments by slot; None after an error that makes the call unusable. `form`: the text of the call up to its
+    bracket, if that is not `called`."""
     form = form or called
     for argument in node.arguments:
         if isinstance(argument, nodes.Comprehension):
@@ -114,7 +114,8 @@ def _shape(called: str, slots: Sequence[Slot]) -> str:
 
 
 def type_all(scope: Scope, node: Called) -> None:
-    """Look at the arguments of a call that makes no sense, so that what they use counts as used and their own slips are told."""
+    """Type the arguments of a call that makes no sense, so that what they use counts as used and their own mistakes are
+    reported."""
     for argument in node.arguments:
         if isinstance(argument, nodes.Comprehension):
             scope.typed(argument.over)
@@ -129,7 +130,7 @@ def type_all(scope: Scope, node: Called) -> None:
 
 
 def _late(scope: Scope, first: nodes.Name, late: Sequence[tuple[nodes.Argument, str]]) -> None:
-    """Arguments by place behind `first`, one that has a name: the names that they would have by their place are written out."""
+    """Report arguments by place after `first`, an argument with a name. The fix adds the names for their places."""
     span = Span(late[0][0].span.source, late[0][0].span.start, late[-1][0].span.end)
     text, done = "", span.start
     for argument, slot in late:
@@ -185,7 +186,8 @@ def _given(arguments: Sequence[nodes.Argument]) -> list[_Given]:
 
 
 def _paired(slots: Sequence[Slot], given: Sequence[_Given]) -> list[_Given] | None:
-    """The arguments with two values by place, where a range is wanted, as that range; None where a value has no second one."""
+    """Return the arguments with two values by place, where a range is expected, as that range; None if a value has no second
+    one."""
     found: list[_Given] = []
     left = list(given)
     while left:
@@ -200,7 +202,7 @@ def _paired(slots: Sequence[Slot], given: Sequence[_Given]) -> list[_Given] | No
 
 
 def _as_range(slots: Sequence[Slot], arguments: Sequence[nodes.Argument]) -> tuple[str, Fix] | None:
-    """What to write for two values where a range is wanted, if there is nothing else wrong with how many there are."""
+    """Return what to write for two values where a range is expected, if there is nothing else wrong with how many there are."""
     place = next((n for n, slot in enumerate(slots) if slot.range), len(arguments))
     if place + 1 >= len(arguments) or not _sound(slots, _paired(slots, _given(arguments))):
         return None
@@ -210,7 +212,7 @@ def _as_range(slots: Sequence[Slot], arguments: Sequence[nodes.Argument]) -> tup
 
 
 def _sound(slots: Sequence[Slot], given: Sequence[_Given] | None, least: int = 1) -> bool:
-    """Whether as many arguments, by place and by name, are what is called takes; `least`: of what takes any number of them."""
+    """Return whether the arguments, by place and by name, match the slots. `least`: the minimum number for a variadic call."""
     if given is None:
         return False
     by_name = [each.name for each in given]

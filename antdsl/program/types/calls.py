@@ -1,4 +1,4 @@
-"""Types of calls: finds what is called, fits the arguments to the tables, gives the operation with its type."""
+"""Types of calls: finds the called function, matches the arguments to the tables, and returns the operation with its type."""
 
 from __future__ import annotations
 
@@ -97,14 +97,14 @@ def _unknown(scope: Scope, node: nodes.Call, name: nodes.Name, want: Type | None
 
 
 def _first_written(node: nodes.Call) -> str:
-    """The first argument as written, if it is a name."""
+    """Return the text of the first argument, if it is a name."""
     first = node.arguments[0] if node.arguments else None
     named = isinstance(first, nodes.Argument) and isinstance(first.value, nodes.NameRef)
     return first.span.text if first is not None and named else "food"
 
 
 def _own(node: nodes.Call, name: str, want: Type | None) -> str:
-    """How a behaviour of that name would be written, for the arguments of the call and what is wanted there."""
+    """Return how a behaviour of that name would be written, for the arguments of the call and the expected type."""
     kind = want.kind if want is not None else Kind.NUMBER
     gives = {Kind.BOOL: "bool", Kind.VECTOR: "push"}.get(kind, "number")
     arguments = ", ".join(f"{letter}: place" for letter, _ in zip("abcdefgh", node.arguments, strict=False))
@@ -143,9 +143,9 @@ def _slot(arg: Arg) -> Slot:
 
 
 def _row(scope: Scope, node: nodes.Call, rows: tuple[Builtin, ...]) -> tuple[Builtin, nodes.Call]:
-    """Of several operations of one name, the one that takes the first argument and the names that are given.
+    """Return, of several operations of one name, the one that takes the first argument and the given names.
 
-    Comes with the call in which that argument is worked out, so that calls inside calls are looked at once."""
+    Also returns the call with that argument already typed, so that nested calls are typed once."""
     named = {a.name.text for a in node.arguments if isinstance(a, nodes.Argument) and a.name}
     fitting = [row for row in rows if named <= {a.name for a in row.args}] or list(rows)
     first = node.arguments[0] if node.arguments else None
@@ -154,7 +154,7 @@ def _row(scope: Scope, node: nodes.Call, rows: tuple[Builtin, ...]) -> tuple[Bui
     found = scope.typed(first.value)
     kind = found.type.kind
     if len(node.arguments) > 1 and not named and kind is Kind.FIELD:
-        kind = Kind.NUMBER  # `max(trail, 0.5)`: the greater of two numbers; cells are asked for with `nearest:`
+        kind = Kind.NUMBER  # `max(trail, 0.5)`: the greater of two numbers; cells are meant with `nearest:`
     kind = {Kind.MAP: Kind.NUMBER, Kind.FLOW: Kind.VECTOR}.get(kind, kind)
     known = nodes.Argument(first.name, cast(nodes.Expr, Known(found, first.value.span)), first.span)
     node = nodes.Call(node.function, (known, *node.arguments[1:]), node.span)
@@ -215,7 +215,7 @@ def _argument(
 
 
 def within_row(scope: Scope, arg: Arg, who: str, span: Span, found: Expr, sample: str = "") -> None:
-    """Hold a constant against what its row says. `sample`: a line with one that is right."""
+    """Check a constant against the limits in its row. `sample`: a correct example line."""
     known = constant_behind(found)
     if known is None:
         return
@@ -232,7 +232,7 @@ def within_row(scope: Scope, arg: Arg, who: str, span: Span, found: Expr, sample
 def _same(
     scope: Scope, called: str, node: nodes.Expr, found: Expr, variable: str, variables: Variables, dims_only: bool = False
 ) -> Expr:
-    """Bind a variable of the table, or hold the value against what bound it before."""
+    """Bind a variable of the table, or compare the value with the one that bound it before."""
     found = as_value(found)
     if variable not in variables or variables[variable][1].type.kind is Kind.BAD:
         variables[variable] = (node, found)

@@ -1,4 +1,4 @@
-"""How an artist calls types, and the complaints about types and units that are told all over the checker."""
+"""The names of types for artists, and the errors about types and units that all parts of the checker report."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _KINDS: dict[Kind, str] = {
     **{Kind(row.word): row.called for row in KINDS_OF_THINGS.values() if row.called},
     Kind.FIELD: "a field",
 }
-# Things that are named and are no value, so that something must be asked of them.
+# Things that are named and are no value: an expression must read something of them.
 _THINGS = frozenset(Kind(word) for word in KINDS_OF_THINGS) - {Kind(each.args[0].type) for each in spoken("value")}
 _VECTORS: dict[Dim, str] = {Dim(): "a push or direction", Dim(length=1): "a position", Dim(length=1, time=-1): "a velocity"}
 
@@ -50,7 +50,7 @@ def quoted(span: Span, most: int = 40) -> str:
 
 
 def fits(actual: Type, wanted: Type) -> bool:
-    """Whether a value of one type may stand where the other is wanted. What was complained about already fits everywhere."""
+    """Return whether a value of one type may replace one of the other. Values with a reported error fit everywhere."""
     if Kind.BAD in (actual.kind, wanted.kind):
         return True
     if actual.kind is not wanted.kind:
@@ -61,8 +61,8 @@ def fits(actual: Type, wanted: Type) -> bool:
 
 
 def mismatch(report: Report, node: nodes.Expr, actual: Type, wanted: Type, place: str, found: Expr | None = None) -> None:
-    """Complain that `node` is of another type than `place` wants: a missing unit, a wrong unit, or another kind of thing.
-    `found` is what it turned out to be, where that is known."""
+    """Report that `node` has another type than `place` needs: a missing unit, a wrong unit, or another kind of thing. `found` is
+    its typed expression, if known."""
     if isinstance(found, Op) and found.name == "map_value" and wanted.kind is Kind.VECTOR:
         text = " ".join(node.span.text.split())
         report.add(
@@ -110,7 +110,7 @@ def _mismatch(node: nodes.Expr, actual: Type, wanted: Type, place: str) -> Diagn
 
 
 def _with_units(node: nodes.Expr) -> Fix | None:
-    """`vector(10, 0, 0)` with lengths in it, and so a place."""
+    """Return a fix for `vector(10, 0, 0)` that makes its numbers lengths, and so the vector a place."""
     if not isinstance(node, nodes.Call) or node.function.span.text != "vector":
         return None
     values = [each.value for each in node.arguments if isinstance(each, nodes.Argument)]
@@ -124,7 +124,7 @@ def _is_minus(node: nodes.Expr) -> bool:
 
 
 def _made_of(node: nodes.Expr, advice: str) -> Fix | None:
-    """The first text in backquotes of the advice, where it is made of what the author wrote."""
+    """Return the first text in backquotes of the advice as a fix, if it consists of the author's text."""
     text, made = " ".join(node.span.text.split()), re.search("`([^`…]+)`", advice)
     return Fix(node.span, made[1]) if made and text in made[1] else None
 
@@ -172,7 +172,7 @@ def _advice(node: nodes.Expr, actual: Type, wanted: Type) -> str:
 
 
 def disagree(report: Report, op: str, span: Span, left: tuple[nodes.Expr, Expr], right: tuple[nodes.Expr, Expr]) -> None:
-    """Complain that the two sides of a sign do not go together, naming both as the author wrote them."""
+    """Report that the two sides of an operator do not match, with the author's text of both."""
     (left_node, a), (right_node, b) = left, right
     both = f"{quoted(left_node.span)} is {type_words(a.type)} and {quoted(right_node.span)} is {type_words(b.type)}"
     message = f"{both}: `{op}` wants both alike"

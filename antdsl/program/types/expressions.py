@@ -60,7 +60,8 @@ def none_of(scope: Scope, node: nodes.NoneOf, want: Type | None) -> Expr:
 
 
 def referable(scope: Scope, name: nodes.Name) -> Type | None:
-    """The type of one item or agent of a declared name; complains and gives None when nothing of that name can be referred to."""
+    """Return the type of one item or agent of a declared name; report an error and return None if the name cannot be referred
+    to."""
     declared = scope.declared
     thing = declared.things.get(name.text)
     if thing is not None and thing.kind == "items":
@@ -120,7 +121,7 @@ def _too_early(scope: Scope, name: str, span: Span) -> None:
 
 
 def about_whom(scope: Scope, node: nodes.Name, owner: str = "") -> Expr:
-    """The complaint about a value per pair that is named as if it were a value of one."""
+    """Report a pair value that is named without its other agent."""
     help = f"the agent that has it reads it: `{node.text}[other]`" if owner else f"write `{node.text}[other]`"
     scope.report.error("wrong-kind", f"`{node.text}` is a value per pair: name the other agent", node.span, help)
     return bad(node.span)
@@ -151,7 +152,7 @@ def _word(scope: Scope, name: str, span: Span) -> Expr | None:
 
 
 def _own(scope: Scope, name: str, span: Span) -> Expr | None:
-    """The species' own names: params, attributes, lets, latches and what its machines know. A behaviour does not see them."""
+    """Return a name of the species: a param, attribute, let, latch, or value of its machines. Behaviours do not see these."""
     species = scope.species
     if species is None or scope.behaviour is not None:
         return None
@@ -256,7 +257,7 @@ def _unknown(scope: Scope, node: nodes.NameRef, want: Type | None) -> Expr:
 
 
 def _other_word(name: str, span: Span) -> tuple[str | None, Fix | None]:
-    """What to write for a unit without its number, and for a name that other tools have."""
+    """Return the replacement for a unit without its number, or for a name from other tools."""
     unit = f"a unit stands behind its number, without blanks inside: `1 {name}`, `30 mm/s`" if name in UNIT_NAMES else None
     instead = NAMES.get(name)
     if instead is None:
@@ -343,7 +344,7 @@ def _param_of(scope: Scope, owner: Expr, node: nodes.Member) -> Expr:
 
 @dataclass(frozen=True, slots=True)
 class Known:
-    """Stands in the place of an argument whose type was needed before it was its turn, so that nothing is worked out twice."""
+    """Replaces an argument with a type that was needed before its turn, so that nothing is computed twice."""
 
     expr: Expr
     span: Span

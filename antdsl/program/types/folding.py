@@ -1,4 +1,4 @@
-"""Arithmetic on constants before anything runs, so that `1.5 * 40 mm` is a plain value, and the slips that it shows."""
+"""Arithmetic on constants before a run, so that `1.5 * 40 mm` is a plain value. Also reports errors that it reveals."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ _SAME: dict[str, Callable[[float, float], float]] = {"add": lambda a, b: a + b, 
 
 
 def fold(report: Report, op: Op) -> Expr:
-    """The operation, or the constant that it comes to. Complains about a division by 0 and a number too large to keep."""
+    """Return the operation, or its constant value. Reports a division by 0 and numbers that are too large to store."""
     values = [constant_behind(arg) if arg is not None else None for arg in op.args]
     if op.name == "div" and len(values) == 2 and values[1] is not None and values[1].number == 0:
         report.error("division-by-zero", "this divides by 0", op.span, "divide by something that is never 0")
@@ -55,7 +55,7 @@ def _const(op: Op, value: float, u: float, step: float) -> Const:
 
 
 def constant_behind(expr: Expr) -> Const | None:
-    """The constant that an expression is, also through the argument of a behaviour; None where there is none."""
+    """Return the constant value of an expression, also through the argument of a behaviour; None if there is none."""
     while isinstance(expr, Local) and expr.binding.role in ("argument", "let") and expr.binding.value is not None:
         expr = expr.binding.value
     return expr if isinstance(expr, Const) else None

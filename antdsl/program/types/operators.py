@@ -17,7 +17,7 @@ from antdsl.syntax import nodes
 
 _COMPARED = ("<", "<=", ">", ">=")
 _EQUAL = ("==", "!=")
-# What the bare name of a thing is where a value is wanted, by the kind of thing.
+# What the bare name of a thing is in the place of a value, by the kind of thing.
 _VALUE_HERE = {Kind(row.args[0].type): (row.op, type_from_words(row.result) or BAD) for row in spoken("value")}
 
 
@@ -29,7 +29,7 @@ def op(name: str, type: Type, span: Span, *args: Expr | None, site: str = "") ->
 
 
 def value(scope: Scope, node: nodes.Expr, want: Type | None = None) -> Expr:
-    """An expression where a value is wanted: the name of a field, flow or map stands for its value here."""
+    """Return an expression as a value: the name of a field, flow or map stands for its value here."""
     return as_value(scope.typed(node, want))
 
 
@@ -39,7 +39,7 @@ def as_value(expr: Expr) -> Expr:
 
 
 def wanted(scope: Scope, node: nodes.Expr, want: Type, place: str) -> Expr:
-    """The value of an expression, which must be of a type; `place` says in words who wants it."""
+    """Return the value of an expression of a required type; `place` describes the place for messages."""
     found = value(scope, node, want)
     if fits(found.type, want):
         return found
@@ -52,7 +52,8 @@ def _unlike(scope: Scope, node: nodes.Expr, found: Expr, want: Type, place: str)
 
 
 def faced(scope: Scope, node: nodes.Expr) -> Expr:
-    """The value of an expression that says which way to face: a push, or a velocity, of which the direction counts."""
+    """Return the value of an expression that gives a direction to face: a push or a velocity, of which only the direction
+    counts."""
     found = value(scope, node, PUSH)
     if fits(found.type, VELOCITY):
         return found
@@ -60,7 +61,7 @@ def faced(scope: Scope, node: nodes.Expr) -> Expr:
 
 
 def condition(scope: Scope, node: nodes.Expr, place: str) -> Expr:
-    """An expression as a yes or no: an item, agent, hit or set counts as whether there is one."""
+    """Return an expression as a bool; an item, agent, hit or set is true if it is not empty."""
     if not scope.once and _mentions_event(scope, node):
         scope = scope.inside(once=True)
     return truth(scope, node, value(scope, node, BOOL), place)
@@ -77,7 +78,8 @@ def truth(scope: Scope, node: nodes.Expr, found: Expr, place: str) -> Expr:
 
 
 def _mentions_event(scope: Scope, node: nodes.Expr) -> bool:
-    """An event is there for one step only, so a `chance` beside it is a share and no rate."""
+    """Return whether a condition mentions an event. An event lasts one step only, so a `chance` beside it is a share and not a
+    rate."""
     stack: list[nodes.Expr] = [node]
     while stack:
         part = stack.pop()
@@ -175,7 +177,7 @@ def _bounded_chance(scope: Scope, node: nodes.Unary, found: Expr) -> None:
 
 
 def draw_site(scope: Scope, word: str, span: Span) -> str:
-    """The name of a draw; inside a set there may be none, since its result would depend on who is looked at first."""
+    """Return the name of a draw. Draws inside a set are errors, because the result would depend on the order of the elements."""
     if scope.sets:
         scope.report.error(
             "draw-in-set",
@@ -220,7 +222,7 @@ def binary(scope: Scope, node: nodes.Binary, want: Type | None) -> Expr:
 
 
 def _logic(scope: Scope, node: nodes.Binary) -> Expr:
-    """`and`, `or`: of two yes-or-nos, or the lesser and the greater of two shades of truth."""
+    """Type `and` or `or`: of two bools, or as the minimum or maximum of two degrees of truth."""
     left, right = value(scope, node.left, BOOL), value(scope, node.right, BOOL)
     if BAD in (left.type, right.type) and {left.type, right.type} <= {BAD, NUMBER}:
         return op(node.op, BAD, node.span, left, right)  # what is wrong may have been meant as a shade of truth

@@ -1,4 +1,4 @@
-"""Types of values per pair: what an agent holds of another one, `likes[other]`, where it is declared, read and written."""
+"""Types of pair values: `likes[other]`, an agent's value about another one, in declarations, reads and writes."""
 
 from __future__ import annotations
 
@@ -41,8 +41,8 @@ def pair_of(scope: Scope, node: nodes.PairOf, want: Type | None) -> Expr:
 
 
 def resting(scope: Scope, attribute: AttributeDecl, to: Expr | None) -> None:
-    """Complain about a value per pair that is no number, that is not the same about everybody to begin with, or that returns to
-    something else: whom nothing is kept about has the value of the start for ever."""
+    """Report a value per pair that is no number, that does not begin equal about all agents, or that returns to something else.
+    Agents without a stored value have the initial one for ever."""
     name, default = attribute.name, attribute.default
     if Kind.BAD in (attribute.type.kind, default.type.kind):
         return
@@ -72,7 +72,8 @@ def _alike(one: Expr, other: Expr) -> bool:
 
 
 def each_of(scope: Scope, node: nodes.IndexAll) -> tuple[Attribute, SetOf, Binding, Scope] | None:
-    """`likes[n in SET]`: the value, the set, what stands for one of it, and its scope; None after a complaint."""
+    """Return the parts of `likes[n in SET]`: the value, the set, the binding of an element, and its scope; None after an
+    error."""
     over = scope.typed(node.over)
     if over.type.kind in (Kind.SPECIES, Kind.ITEMS):
         over = whole(over)

@@ -1,4 +1,4 @@
-"""Which function gives the type of which kind of node: one row a node."""
+"""The typing function of each kind of node: one row per node."""
 
 from __future__ import annotations
 

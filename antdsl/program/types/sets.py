@@ -1,4 +1,4 @@
-"""Types of sets and of what is made from them: neighbours, all, nearest, feelers, and `sum(n in SET: …)` with its like."""
+"""Types of sets and reductions over them: neighbours, all, nearest, feelers, `sum(n in SET: …)` and similar."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def element_of(type: Type, name: str, node: nodes.Expr | nodes.Name) -> Binding:
 
 
 def neighbours(scope: Scope, node: nodes.Call, name: str, row: Builtin) -> Expr:
-    """`neighbours(radius, fov, of:)`: others of its own species, or of another."""
+    """Type `neighbours(radius, fov, of:)`: others of the agent's species, or of another."""
     found = _arguments(scope, node, name, row)
     if found is None:
         return bad(node.span)
@@ -85,7 +85,7 @@ def _check_reach(scope: Scope, radius: Expr | None, node: nodes.Call) -> None:
 
 
 def _most(scope: Scope, called: str, row: Builtin, found: dict[str, list[nodes.Argument]], node: nodes.Call) -> Expr | None:
-    """How many of a set count at most, the nearest; a whole number of 1 and more where it is known."""
+    """Return how many of the nearest elements of a set count at most. A known value must be whole and at least 1."""
     arg = next((arg for arg in row.args if arg.name == "most"), None)
     most = _plain(scope, called, arg, found, node) if arg is not None else None
     known = constant_behind(most) if most is not None else None
@@ -212,14 +212,14 @@ def reduce(scope: Scope, node: nodes.Call, how: str) -> Expr:
 
 
 def for_each(scope: Scope, over: SetOf, variable: nodes.Name) -> tuple[Binding, Scope]:
-    """What stands for each of a set by a name, and the scope in which it does."""
+    """Return the binding of a name to each element of a set, and the scope in which it is visible."""
     element = element_of(over.element.type, variable.text, variable)
     _check_shadow(scope, variable)
     return element, _within_set(scope, element).inside(locals={**scope.locals, variable.text: element})
 
 
 def whole(things: Expr) -> SetOf:
-    """`food` where a set is wanted: all of it."""
+    """Return `food` as a set: all of it."""
     element = Binding("it", "element", one_of(things.type), Rate.ELEMENT, things.span)
     return SetOf(
         Type(Kind.SET, Dim(), things.type.of), Rate.AGENT, things.span, "all", things.type.of or "", (None,), element, None
@@ -243,7 +243,7 @@ def _check_shadow(scope: Scope, variable: nodes.Name) -> None:
 
 
 def body_of(scope: Scope, how: str, node: nodes.Expr) -> Expr:
-    """What a reduction takes of each: a truth to count, or a number (for sums a vector too)."""
+    """Return the body of a reduction: a bool to count, or a number (for sums also a vector)."""
     if how in ("count", "any", "every"):
         return condition(scope, node, f"`{how}`")
     found = value(scope, node)
@@ -277,7 +277,7 @@ def _result(how: str, body: Expr, element: Binding) -> Type:
 
 
 def _check_nesting(scope: Scope, made: Expr, node: nodes.Call) -> None:
-    """A set inside a set may not depend on the outer element: that would be neighbours of neighbours."""
+    """Check that a set inside a set does not depend on the outer element: neighbours of neighbours are not supported."""
     if not scope.sets:
         return
     used = bindings_in(made)

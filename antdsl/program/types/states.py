@@ -36,7 +36,8 @@ def of_machine(scope: Scope, machine: MachineNames, node: nodes.Member) -> Expr:
 
 
 def state_word(scope: Scope, owner: Expr | None, word: str, span: Span, name_span: Span | None) -> Expr:
-    """`state` and its like, of the agent itself or of another; of several machines the one the place belongs to, or the first."""
+    """Type `state` and similar words, of the agent itself or of another. With several machines: that of this place in the text,
+    or the first."""
     names = scope.species if owner is None or owner.type.of is None else scope.declared.species.get(owner.type.of)
     if isinstance(owner, Thing) and owner.name == "self":
         owner = None
@@ -59,7 +60,8 @@ def _machine_word(machine: MachineNames, owner: Expr | None, word: str, span: Sp
 
 
 def state_named(scope: Scope, asked: Expr, node: nodes.Expr) -> tuple[Expr, Expr] | None:
-    """For `state == carry`: the asked value and the state, in the machine that has that state; None if `node` is no bare name."""
+    """Return, for `state == carry`, the compared value and the state, in the machine that has that state; None if `node` is no
+    bare name."""
     if not isinstance(node, nodes.NameRef) or not isinstance(asked, Attribute) or node.name.text in STATE_WORDS:
         return None
     species, _, machine_name = (asked.type.of or ".").partition(".")
@@ -80,7 +82,7 @@ def state_named(scope: Scope, asked: Expr, node: nodes.Expr) -> tuple[Expr, Expr
 
 
 def unknown_state(scope: Scope, name: nodes.Name, species: str, known: list[str]) -> str | None:
-    """Complain about a name that no state has. Gives the state that was probably meant, to go on with."""
+    """Report an unknown state name. Return the state that was probably meant, to continue with."""
     meant = nearest_name(name.text, known)
     if told_before(scope, "state", name, species):
         return meant
@@ -90,7 +92,7 @@ def unknown_state(scope: Scope, name: nodes.Name, species: str, known: list[str]
 
 
 def clip_test(scope: Scope, node: nodes.ClipTest, want: Type | None) -> Expr:
-    """`clip done`, `clip at MARK`: of the machine that the place belongs to, or the first."""
+    """Type `clip done` or `clip at MARK`, about the machine of this place in the text, or the first one."""
     names = scope.species
     if names is None or not names.machines or scope.behaviour is not None:
         scope.report.error(

@@ -1,11 +1,14 @@
-"""How a plan's blocks are run: BACKENDS by name. All give the same bits.
+"""Backends that run a plan's blocks: BACKENDS by name. All give the same bits.
 
-`reference` takes one agent at a time and one operation at a time, in plain Python: it is the definition of the language, and
-what `explain` runs. `numpy_backend` runs a block over all agents of a species: `compile` turns the block into lists of
-instructions over slots once, `numpy_calls` and `numpy_statements` make a call of each, and a condition becomes the rows where
-it holds. `native` makes machine code of the same lists, and lets NumPy run until it is there. Elementwise operations are one
-table for all (`numerics.elementwise`), sums over sets are exact, draws are functions of the id: no result depends on rows,
-chunks or threads. A backend fills an `Effects`; the phases of the step apply it."""
+`reference` takes one agent and one operation at a time, in plain Python. It defines the language, and `explain` runs it.
+
+`numpy_backend` runs a block over all agents of a species. `compile` turns the block once into lists of instructions over slots.
+`numpy_calls` and `numpy_statements` make a call of each. A condition becomes the rows where it holds.
+
+`native` compiles the same lists to machine code, and uses NumPy until the code is ready.
+
+Elementwise operations come from one table (`numerics.elementwise`), sums over sets are exact, and draws are functions of the id.
+So no result depends on rows, chunks or threads. A backend fills an `Effects`; the phases of the step apply it."""
 
 from collections.abc import Callable, Mapping
 

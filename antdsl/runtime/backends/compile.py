@@ -1,9 +1,8 @@
 """A block of the plan as lists of vectorised instructions over slots. A region is a scope: the rows where its condition holds.
 
-A value is computed in the first scope that asks for it and gathered from there into the scopes inside. Senses that the plan calls
-lazy are kept for the whole step, in arrays as long as the species, and computed for the rows that have none yet. NumPy runs the
-instructions one by one (`numpy_calls`), machine code is made from the same lists (`native`).
-"""
+A value is computed in the first scope that uses it and gathered from there into the scopes inside. Senses that the plan calls
+lazy are stored for the whole step, in arrays as long as the species. They are computed for the rows that have none yet. NumPy
+runs the instructions one by one (`numpy_calls`); machine code is made from the same lists (`native`)."""
 
 from __future__ import annotations
 
@@ -27,12 +26,12 @@ WORLD, POPULATION, EFFECTS, BUFFERS, LAZY, PAIRS, THREADS, SPENT, FIRST_SLOT = 0
 
 
 class Does(Enum):
-    """What an instruction does; `what` is the node or the statement that it does so for."""
+    """The kind of an instruction; `what` is its node or statement."""
 
     VALUE = "value"  # a node's value for the rows of the scope
     GATHER = "gather"  # a value of the scope around, for the rows of this one
     REGION = "region"  # goes through the inner scope, with the rows where the condition holds
-    KEEP = "keep"  # goes through the inner scope, with the rows that have no kept value yet; gives the kept ones
+    KEEP = "keep"  # runs the inner scope, with the rows that have no stored value yet; returns the stored ones
     PAIRS = "pairs"  # the pairs of a set
     SPREAD = "spread"  # an agent's value for each of its pairs
     OF_PAIR = "of pair"  # a leaf that is another one's, or a sense that hangs on one
@@ -95,8 +94,8 @@ class BlockCompiler:
         self.root = self._scope(None)
         self.buffers: dict[Any, int] = {}  # how many of each dtype
         self.changing: set[str] = set()  # registers that the block stores
-        self.sets = sets  # of the species: in how many regions a set is asked about
-        self.everybody: set[str] = set()  # species that somebody is asked about as a whole
+        self.sets = sets  # of the species: in how many regions a set is used
+        self.everybody: set[str] = set()  # species that are used as a whole
         self._layers = tuple(layer.span for layer in species.layers) if block == "blend" else ()
         self._layer = -1
 
@@ -147,7 +146,7 @@ class BlockCompiler:
             self._emit(scope, Does.STATEMENT, statement, -1, inputs)
 
     def _layers_of(self, block: ir.Block) -> list[int]:
-        """The layer in whose line each statement stands. What a behaviour remembers stands in another file, and is written before
+        """Return the layer with the line of each statement. What a behaviour remembers is in another file, and is written before
         the push of the layer that called it."""
         if not self._layers:
             return [-1] * len(block.statements)
@@ -163,7 +162,7 @@ class BlockCompiler:
     # --- values --------------------------------------------------------------------------------------------------------
 
     def value(self, scope: Scope, node: ir.Node, afresh: bool = False) -> int:
-        """Slot of a node's value in a scope; emits what is missing. `afresh`: a kept node itself is computed."""
+        """Return the slot of a node's value in a scope; emit what is missing. `afresh`: a stored node itself is computed."""
         if node.rate <= ir.Rate.STEP:
             return self._uniform(node)
         missing: set[ir.Node] = set()
@@ -196,7 +195,7 @@ class BlockCompiler:
         return scope
 
     def _known(self, scope: Scope, node: ir.Node) -> int:
-        """Slot of what is known here or further out, gathered inwards."""
+        """Return the slot of a value that is known in this scope or an outer one; an outer value is gathered for this scope."""
         if node.rate <= ir.Rate.STEP:
             return self._uniform(node)
         holders = [scope]
@@ -211,7 +210,7 @@ class BlockCompiler:
         return scope.known[node]
 
     def _plain(self, scope: Scope, node: ir.Node) -> None:
-        """Emit one node whose operands are known."""
+        """Emit one node with known operands."""
         if node.op.startswith("reduce."):
             does, inputs = Does.REDUCE, self._reduction(scope, node)
         else:
@@ -221,7 +220,7 @@ class BlockCompiler:
         scope.known[node] = slot
 
     def _keep(self, scope: Scope, node: ir.Node) -> None:
-        """Emit a lazy node: computed in a scope of the rows that lack it, kept for the step."""
+        """Emit a lazy node: computed in a scope of the rows that lack it, stored for the step."""
         inner = self._scope(scope)
         result = self.value(inner, node, afresh=True)
         slot = scope.known[node] = self.slot()
@@ -269,7 +268,8 @@ class BlockCompiler:
 
 
 def _linear(scope: Scope, found: list[tuple[Instruction, bool]]) -> None:
-    """Instructions in the order in which they run; one with an inner scope stands before it and, as True, after it."""
+    """List the instructions in execution order. One with an inner scope appears before that scope with False, and again after it
+    with True."""
     for instruction in scope.code:
         found.append((instruction, False))
         if instruction.inner is not None:
@@ -278,9 +278,9 @@ def _linear(scope: Scope, found: list[tuple[Instruction, bool]]) -> None:
 
 
 def bind_calls(compiler: BlockCompiler, maker: Callable[[Instruction, BlockCompiler], Make]) -> None:
-    """Give each elementwise result an array to write to, used again once it is done with, and make the calls.
+    """Assign each elementwise result an output array, reused after its last use, and make the calls.
 
-    Linear scan over the order of execution (M. Poletto and V. Sarkar, TOPLAS 21(5), 1999, p. 895); no region runs twice."""
+    Linear scan over the execution order (M. Poletto and V. Sarkar, TOPLAS 21(5), 1999, p. 895); no region runs twice."""
     order: list[tuple[Instruction, bool]] = []
     _linear(compiler.root, order)
     last: dict[int, int] = {}

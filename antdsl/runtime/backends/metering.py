@@ -1,4 +1,4 @@
-"""Times the calls of a compiled block: each by itself, without what it runs inside it."""
+"""Times the calls of a compiled block: each alone, without what it runs inside it."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ from antdsl.runtime.backends.compile import SPENT, BlockCompiler, Instruction, R
 
 
 class Metered:
-    """A block whose calls are timed until `end`. `seconds` has a number for each of `instructions`: of a thread's time, cut down
-    where threads go side by side, so that all of them together are no more than what passed."""
+    """A block with calls that are timed until `end`. `seconds` has a number for each of `instructions`: of a thread's time,
+    reduced where threads run in parallel, so that their sum does not exceed the elapsed time."""
 
     def __init__(self, compiler: BlockCompiler) -> None:
         self.instructions: list[Instruction] = []
@@ -28,11 +28,11 @@ class Metered:
         self.seconds = [0.0] * len(self.instructions)
 
     def lane(self) -> list[float]:
-        """Where one chunk counts; the last number is the time of all calls within the one under way."""
+        """Return the counters of one chunk; the last number is the time of all calls inside the current one."""
         return [0.0] * (len(self.instructions) + 1)
 
     def take(self, lanes: list[list[float]], passed: float) -> None:
-        """Add what the chunks counted in a run of the block that took `passed` seconds."""
+        """Add the counters of the chunks in a run of the block that took `passed` seconds."""
         share = min(1.0, passed / max(sum(lane[-1] for lane in lanes), 1e-12))
         for lane in lanes:
             for k, seconds in enumerate(lane[:-1]):
@@ -45,7 +45,7 @@ class Metered:
 
 
 def instructions_of(root: Scope) -> list[Instruction]:
-    """The instructions of a scope and of those in it, in the order in which `Metered` has them."""
+    """Return the instructions of a scope and its inner scopes, in the order of `Metered`."""
     return [each for scope in _scopes(root) for each in scope.code]
 
 

@@ -61,15 +61,16 @@ class NumpyBackend:
             self._constants[name] = constant_values(node for node in every if node.rate is ir.Rate.CONST)
             self._of_run[name] = [node for node in every if node.rate is ir.Rate.RUN]
             self._uniforms[name] = [node for node in every if node.rate > ir.Rate.RUN]
-        self._run: tuple[Setting, dict[str, np.float32]] | None = None  # by what values of the run were worked out
+        # the setting and params that values of the run were computed from
+        self._run: tuple[Setting, dict[str, np.float32]] | None = None
         self._lasting: dict[str, dict[ir.Node, Any]] = {}  # values of the run, and constants
         self._values: dict[str, dict[ir.Node, Any]] = {}
         self._kept: dict[str, Kept] = {}
-        self._has: dict[str, NDArray[np.bool_]] = {}  # of all that is kept, whether it is known
+        self._has: dict[str, NDArray[np.bool_]] = {}  # for all stored values, whether they are known
         self._pairs: dict[str, dict[tuple[ir.Node, int], Any]] = {}
         self._buffers: list[dict[Any, list[NDArray[Any]]]] = []
         self._pool: ThreadPoolExecutor | None = None
-        self.metered: dict[tuple[str, str], Metered] = {}  # by species and block, while somebody measures
+        self.metered: dict[tuple[str, str], Metered] = {}  # by species and block, while a Meter is active
 
     @property
     def blocks(self) -> Mapping[tuple[str, str], BlockCompiler]:
@@ -78,11 +79,11 @@ class NumpyBackend:
 
     @property
     def by(self) -> str:
-        """What runs the blocks of this step, in a word for the user."""
+        """Return the name of what runs the blocks of this step, for the user."""
         return "NumPy"
 
     def measure(self, on: bool) -> None:
-        """Time each call from the next step on, or no longer. No call gives another result by it."""
+        """Time each call from the next step on, or stop timing. Results do not change."""
         if on == bool(self.metered):
             return
         for each in self.metered.values():
@@ -107,7 +108,7 @@ class NumpyBackend:
             }
 
     def told(self) -> list[str]:
-        """Nothing is otherwise than asked."""
+        """Return an empty list: this backend runs everything as requested."""
         return []
 
     def _of_step(self, world: World, species: str) -> dict[ir.Node, Any]:
@@ -117,7 +118,7 @@ class NumpyBackend:
         return uniform_values(world, self._uniforms[species], self._lasting[species])
 
     def run(self, world: World, population: Population, block: str, rows: NDArray[np.intp] | None = None) -> None:
-        """Run a block for some rows (None: all), and put what they ask for into the population's effects."""
+        """Run a block for some rows (None: all), and add their requests to the population's effects."""
         compiler = self._blocks[population.name, block]
         if not compiler.root.calls:
             return
@@ -196,7 +197,7 @@ class NumpyBackend:
 
 
 def constant_values(nodes: Iterable[ir.Node]) -> dict[ir.Node, Any]:
-    """Values that are the same in every step; operands stand first."""
+    """Return the values that are constant over all steps; operands come first in `nodes`."""
     values: dict[ir.Node, Any] = {}
     with np.errstate(all="ignore"):
         for node in nodes:
@@ -206,8 +207,8 @@ def constant_values(nodes: Iterable[ir.Node]) -> dict[ir.Node, Any]:
 
 
 def uniform_values(world: World, nodes: list[ir.Node], known: dict[ir.Node, Any] | None = None) -> dict[ir.Node, Any]:
-    """Values that are the same for all agents, as NumPy scalars, beside those that are known already, which are given back where
-    there are no others; operands stand first."""
+    """Return values that are equal for all agents, as NumPy scalars, together with those in `known`. Returns `known` itself if
+    `nodes` is empty. In `nodes`, operands come before the nodes that use them."""
     if known is not None and not nodes:
         return known
     values = dict(known or {})

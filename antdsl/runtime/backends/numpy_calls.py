@@ -1,7 +1,6 @@
-"""The calls that compiled blocks are made of: each function gives a maker of closures over slots of one run.
+"""The calls of compiled blocks: each function returns a maker of closures over the slots of one run.
 
-`v` is the list of slots; its first ones hold the world, the population, the effects, the buffers and the kept senses.
-"""
+`v` is the list of slots. Its first ones hold the world, the population, the effects, the buffers and the cached senses."""
 
 from __future__ import annotations
 
@@ -58,7 +57,7 @@ def call(instruction: Instruction, compiler: BlockCompiler) -> Make:
 
 
 def enter(v: Slots, scope: Scope, rows: Any, size: int, picked: NDArray[np.intp] | None) -> None:
-    """Set up a scope's rows and the views of the buffers that it writes to."""
+    """Set a scope's rows and the views of its output buffers."""
     v[scope.rows], v[scope.size], v[scope.picked] = rows, size, picked
     buffers = v[BUFFERS]
     for (dtype, number), slot in scope.views.items():
@@ -121,7 +120,7 @@ def gather(scope: Scope, several: bool) -> Make:
 
 
 def keep(node: ir.Node, scope: Scope, inner: Scope, result: int) -> Make:
-    """A sense kept for the step: asked for the rows that have none yet."""
+    """Return a sense that is cached for the step: computed only for rows that have no value yet."""
 
     def make(out: int, inputs: tuple[int, ...], buffer: int | None) -> Run:
         def run(v: Slots) -> None:
@@ -230,7 +229,8 @@ def _draw(node: ir.Node, compiler: BlockCompiler, scope: Scope) -> Make:
 
 
 def pairs(node: ir.Node, compiler: BlockCompiler, scope: Scope) -> Make:
-    """The pairs of a set. One that several regions ask about is kept for the step, once it was found for a whole chunk."""
+    """Return the pairs of a set. A set that several regions use is cached for the step after it was computed for a whole
+    chunk."""
     shared, root, rows = compiler.sets, compiler.root.rows, scope.rows
 
     def make(out: int, inputs: tuple[int, ...], buffer: int | None) -> Run:
@@ -260,7 +260,8 @@ def spread(out: int, inputs: tuple[int, ...], buffer: int | None) -> Run:
 
 
 def pair_leaf(node: ir.Node, scope: Scope) -> Make:
-    """What is the other one's, or hangs on what is. A sense is asked from where the agent of each pair stands."""
+    """Return a value of the other agent of a pair, or one that depends on it. A sense is evaluated at the position of the asking
+    agent."""
     sense, rows = SENSES.get(node.op), scope.rows
 
     def make(out: int, inputs: tuple[int, ...], buffer: int | None) -> Run:

@@ -1,4 +1,4 @@
-"""The calls that statements become in compiled blocks: what is stored, and what is asked of the rest of the world."""
+"""The calls that statements become in compiled blocks: what is stored, and what is requested from the rest of the world."""
 
 from __future__ import annotations
 
@@ -16,17 +16,17 @@ ALL = slice(None)
 
 
 def row_numbers(rows: Any) -> NDArray[np.intp]:
-    """Rows, given as a slice or in an array, in an array."""
+    """Return rows, given as a slice or an array, as an array."""
     return np.arange(rows.start, rows.stop) if isinstance(rows, slice) else rows
 
 
 def _each(v: Slots, scope: Scope, value: Any) -> NDArray[Any]:
-    """One value for each row, in an array of its own: buffers are written again."""
+    """Return one value for each row, in a separate array, because buffers are reused."""
     return np.full(v[scope.size], value) if value.ndim == 0 else value.copy()
 
 
 def sound(value: NDArray[Any], infinite: bool) -> NDArray[np.bool_]:
-    """Which values may be kept."""
+    """Return which values may be stored."""
     good: NDArray[np.bool_] = np.isfinite(value)
     return good | (value == np.inf) if infinite else good
 
@@ -62,7 +62,7 @@ def _store(statement: ir.Store, block: str, scope: Scope) -> Make:
 
 
 def _amounts(v: Slots, scope: Scope, block: str, what: str, span: Any, value: Any) -> tuple[NDArray[np.intp], NDArray[Any], Any]:
-    """Rows and values of those whose value is finite; the others are at fault. Last: which they are of the scope's rows."""
+    """Return the rows and values that are finite, and the mask of these rows within the scope. Records a fault for all others."""
     rows, value = row_numbers(v[scope.rows]), _each(v, scope, value)
     good = np.isfinite(value)
     if good.all():
@@ -118,7 +118,7 @@ def _give(statement: ir.Give, block: str, scope: Scope) -> Make:
 
 
 def _request(statement: ir.Request, block: str, scope: Scope, order: int) -> Make:
-    """Whatever is asked of the rest of the world, by its row: who asks with a value that is not finite is at fault."""
+    """Return the call for a request to the rest of the world, by row. A row with a value that is not finite is at fault."""
     row = effects.EFFECTS[statement.op]
     refused = row.refused.format(of=statement.of)
 

@@ -1,7 +1,7 @@
-"""The reference backend: one agent at a time in plain Python, one operation at a time. Slow; it defines what a plan means.
+"""The reference backend: one agent at a time in plain Python, one operation at a time. It is slow; it defines what a plan means.
 
-Neighbours are found by measuring the distance to everybody. Only geometry (rays, fields, curves) is asked of the same engines.
-"""
+Neighbours are found by measuring the distance to all agents. Only geometry (rays, fields, curves) uses the same engines as the
+other backends."""
 
 from __future__ import annotations
 
@@ -36,10 +36,10 @@ class ReferenceBackend:
         self._orders = {name: places(species) for name, species in plan.species.items()}
 
     def begin(self, world: World) -> None:
-        """Nothing is kept from step to step."""
+        """Do nothing: no data is cached from step to step."""
 
     def told(self) -> list[str]:
-        """Nothing is otherwise than asked."""
+        """Return an empty list: this backend runs everything as requested."""
         return []
 
     def run(self, world: World, population: Population, block: str, rows: NDArray[np.intp] | None = None) -> None:
@@ -54,7 +54,7 @@ class ReferenceBackend:
 
 
 class FaultMet(Exception):
-    """The value that is looked for has been met; holds the agent's run."""
+    """Raised when the faulty value is reached; holds the agent's run."""
 
     def __init__(self, node: ir.Node) -> None:
         super().__init__()
@@ -62,7 +62,7 @@ class FaultMet(Exception):
 
 
 class Agent:
-    """One agent during one block. `now[name][at]` is its register; the row stands for it in everything else."""
+    """One agent during one block. `now[name][at]` is its register; all other arrays are indexed by its row."""
 
     def __init__(
         self,
@@ -81,7 +81,7 @@ class Agent:
         self.watch: Callable[[str, Span | None, ir.Node], None] | None = None
 
     def run(self, block: str, plan: ir.SpeciesPlan | None = None) -> None:
-        """Run a block; of another plan of the same species, if one is given."""
+        """Run a block, or that of another plan of the same species."""
         tree: ir.Block = getattr(plan or self.population.plan, block)
         self.block, self.values, self.early = block, {}, _early(tree)
         self._block(tree, ())
@@ -99,7 +99,7 @@ class Agent:
                 getattr(self, "_" + type(statement).__name__.lower())(statement)
 
     def _finite(self, node: ir.Node, what: str, span: Span | None, infinite: bool = False) -> Any:
-        """A value that may be kept, or None and a fault."""
+        """Return a value that may be stored, or None after recording a fault."""
         value = self.value(node)
         if node.kind is not ir.Kind.F32 or np.isfinite(value) or (infinite and value == np.inf):
             return value
@@ -243,13 +243,13 @@ def _early(block: ir.Block) -> dict[tuple[int, ...], list[ir.Node]]:
 
 @cache
 def _pair_nodes(roots: tuple[ir.Node, ...]) -> tuple[ir.Node, ...]:
-    """Nodes at the rate of pairs under some, operands first."""
+    """Return the nodes with pair rate below `roots`, operands first."""
     return tuple(n for n in needed(roots) if n.rate == ir.Rate.PAIR)
 
 
 @cache
 def _operands(node: ir.Node) -> tuple[ir.Node, ...]:
-    """What has to be known of the agent before a node: through sets and their bodies down to the agent's own values."""
+    """Return the agent's values that a node needs, through sets and their bodies down to the agent's own values."""
     found: list[ir.Node] = []
     pending = list(node.args)
     while pending:
@@ -262,7 +262,7 @@ def _operands(node: ir.Node) -> tuple[ir.Node, ...]:
 
 
 def _measure(places: list[Any], own: list[Any]) -> list[Member]:
-    """Everybody's row, way and distance from one place."""
+    """Return the row, offset and distance of every agent from one position."""
     dx, dy, dz = (theirs - mine for theirs, mine in zip(places, own, strict=True))
     distance = np.sqrt((dx * dx + dy * dy) + dz * dz)
     return [(k, dx[k], dy[k], dz[k], distance[k]) for k in range(len(distance))]
@@ -324,7 +324,8 @@ _REDUCE: dict[str, Callable[[Agent, ir.Node, ir.Node, Found], Any]] = {
 def operands_of(
     world: World, population: Population, row: int, block: str, what: str, span: Span | None
 ) -> tuple[tuple[str, str], ...]:
-    """Run one agent's step again, without any effect, up to a refused value; text and value of what made it not finite."""
+    """Run one agent's step again without effects, up to a rejected value. Return text and value of the operands that made it not
+    finite."""
     now = {name: population.start[name][row : row + 1].copy() for name in population.now}
     for name, register in population.plan.registers.items():
         if register.role == "temp":
@@ -348,7 +349,7 @@ def operands_of(
 
 
 def with_winnings(agent: Agent, population: Population) -> None:
-    """Give an agent that is run again what the world has settled of its claims."""
+    """Set an agent that runs again to the settled results of its claims."""
     for claim in agent.effects.claims:
         won = bool(population.now[claim.statement.won][agent.row])
         agent.now[claim.statement.won][0] = won
@@ -361,7 +362,7 @@ def with_winnings(agent: Agent, population: Population) -> None:
 
 
 def _culprit(agent: Agent, node: ir.Node) -> tuple[tuple[str, str], ...]:
-    """The first operation on the way whose operands are finite and whose result is not."""
+    """Return the first operation, in evaluation order, that has finite operands and a result that is not finite."""
 
     def sound(n: ir.Node) -> bool:
         value = agent.values.get(n)

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 def bind_fields(
     world: World, meshes: dict[str, MeshData], value: Callable[[World, ir.Node], float], report: Report, built: Built
 ) -> None:
-    """Make all fields of the plan; what is wrong with one goes into the report."""
+    """Make all fields of the plan; errors go into the report."""
     cells: dict[tuple[tuple[str, ...], float], SurfaceCells] = {}
     for plan in world.plan.fields.values():
         size = value(world, plan.cell)
@@ -57,7 +57,7 @@ def bind_fields(
 
 
 def _sound(plan: ir.FieldPlan, size: float, keep: float, diffuse: float, limit: float, dt: float, report: Report) -> bool:
-    """Whether the settings can be run; complains where not."""
+    """Return whether the settings are valid; report errors if not."""
     if not (np.isfinite(size) and size > 0):
         report.error("field-setting", f"the cells of field `{plan.name}` have no size", plan.span, "write `cell 4 mm`")
         return False

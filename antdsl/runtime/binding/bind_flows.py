@@ -1,4 +1,4 @@
-"""Flows and maps of a setting over the ground: points to work them out in, near enough to each other, and what they are there."""
+"""Flows and maps of a setting over the ground: sample points that are close enough to each other, and the values there."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ _LIFT = 0.25  # of an edge: how high over the ground obstacles are looked for be
 
 
 def bind_flows(world: World, report: Report, built: Built) -> None:
-    """All maps and flows of the setting that the plan knows. Those that never change are kept in `built`."""
+    """Bind all maps and flows of the setting that the plan knows. Those that never change are stored in `built`."""
     setting = world.setting
     for name, painted in setting.maps.items():
         world.maps[name] = Map(_corners(world, painted)[:, :, 0])
@@ -54,7 +54,7 @@ def _bound(world: World, name: str, flow: FlowData) -> Flow | None:
 
 
 def bind_flow(world: World, name: str, flow: FlowData, report: Report) -> None:
-    """One flow, under its name in the world; what is wrong with it goes into the report."""
+    """Bind one flow, under its name in the world; errors go into the report."""
     try:
         world.flows[name] = made = _made(world, flow)
         if not isinstance(flow, Painted) and _may_change(world, flow):
@@ -80,7 +80,7 @@ def _made(world: World, flow: FlowData) -> Flow:
 
 
 def _may_change(world: World, flow: SpreadFlow | BorderFlow | SolvedFlow) -> bool:
-    """Whether anything moves that a flow is made from: surfaces, what it leads to, obstacles on the way."""
+    """Return whether any input of a flow moves: surfaces, its target, obstacles on the path."""
     moves = world.setting.moves
     moving = [name for name in moves.meshes if name in world.setting.surfaces or isinstance(flow, SolvedFlow)]
     dug = bool(world.solids) and isinstance(flow, SolvedFlow)
@@ -88,7 +88,7 @@ def _may_change(world: World, flow: SpreadFlow | BorderFlow | SolvedFlow) -> boo
 
 
 def _renew(world: World, made: Flow, flow: SpreadFlow | BorderFlow | SolvedFlow) -> None:
-    """Put a flow as it is now in the place of what it was."""
+    """Replace a flow's values by its current ones."""
     if isinstance(flow, SolvedFlow):
         assert isinstance(made, Solved) and made.grounds is not None
         made.grounds = _grounds(world, made.lattice, made.grounds.faces, made.grounds.point)
@@ -133,7 +133,7 @@ def _painted(world: World, painted: Painted) -> Flow:
 
 
 def _chosen(world: World, on: tuple[str, ...]) -> Flags:
-    """Faces of the surfaces that a flow lies on; those without area are left out."""
+    """Return the faces of the flow's surfaces, without faces of area 0."""
     _, _, mesh, table = _meshes(world).triangles
     wanted = [world.surface_index[name] for name in on] or list(world.surface_index.values())
     chosen: Flags = table.live & np.isin(mesh, wanted)
@@ -149,7 +149,7 @@ def _lengths(world: World) -> tuple[Floats, Floats]:
 
 
 def _lattice(world: World, chosen: Flags, flow: SpreadFlow | BorderFlow | SolvedFlow) -> Lattice:
-    """A lattice as fine as a flow asks for on the chosen faces. LatticeTooFine where its cell is too small."""
+    """Return a lattice with the flow's resolution on the chosen faces. Raises LatticeTooFine if its cell is too small."""
     return Lattice.of(flow_cuts(flow, np.where(chosen, _lengths(world)[0], 0.0), _meshes(world).extent))
 
 
@@ -169,7 +169,7 @@ def _flow(world: World, lattice: Lattice, face: Index, vectors: Floats, chosen: 
 
 
 def _here(world: World, target: Target) -> Target:
-    """Where a target is at the world's frame, as the world counts places."""
+    """Return a target at the world's frame, relative to the world's origin."""
     moves = world.setting.moves
     tracks = (moves.curves if target.line else moves.items).get(target.of)
     places = target.places if tracks is None else moves.points(tracks, world.frame)
@@ -249,7 +249,7 @@ def _solved(world: World, flow: SolvedFlow) -> Flow:
     looked = [_left(world)]
 
     def due(now: World) -> bool:
-        """Whether it is time, and there is something to look at anew."""
+        """Return whether a new solution is due and there is something to compute."""
         if (now.frame - now.setting.first_frame) % every:
             return False
         before, looked[0] = looked[0], _left(now)
@@ -267,13 +267,13 @@ def _solved(world: World, flow: SolvedFlow) -> Flow:
 
 
 def _left(world: World) -> list[int]:
-    """How much is left of each solid: what tells whether anything was dug."""
+    """Return a counter for each solid, which changes when it is dug."""
     return [volume.bricks.steps for volume in world.solids.values()]
 
 
 def _grounds(world: World, lattice: Lattice, chosen: Flags, point: Index | None = None) -> Grounds:
-    """The lattice as land: points that are one although of several faces (`point`, where that is known), triangles that no
-    obstacle cuts and no undug solid buries, links between surfaces."""
+    """Return the lattice as land: points merged across faces (`point`, if known), triangles that no obstacle cuts and no undug
+    solid buries, and links between surfaces."""
     _, _, mesh, table = _meshes(world).triangles
     face, place = _places(world, lattice)
     if point is None:
@@ -297,7 +297,7 @@ def _grounds(world: World, lattice: Lattice, chosen: Flags, point: Index | None 
 
 
 def _blocked(world: World, triangles: Index, points: Floats, normal: Floats) -> Flags:
-    """Triangles of which a side meets an obstacle, seen a little above the ground."""
+    """Return the triangles with a side that hits an obstacle, tested slightly above the ground."""
     cut = np.zeros(len(triangles), bool)
     for name in world.plan.of_kind("obstacle"):
         if name not in world.obstacles:
@@ -329,8 +329,8 @@ def _links(points: Floats, of: NDArray[np.int32], used: Index, areas: Floats) ->
 
 
 def _goal(world: World, flow: SolvedFlow, grounds: Grounds) -> tuple[Index, Floats, float]:
-    """Points at the target, and how far it still is from there: all within its radius, and those next to each of its places.
-    Also, how far the nearest of these places lies from all points, its radius left out."""
+    """Return the points at the target and their remaining distances: all points within its radius, and those next to each of its
+    places. Also, return the distance of the nearest of these places from all points, minus its radius."""
     from scipy.spatial import cKDTree
 
     land = grounds.land
@@ -358,7 +358,7 @@ def _goal(world: World, flow: SolvedFlow, grounds: Grounds) -> tuple[Index, Floa
 
 
 def _cost(world: World, flow: SolvedFlow, grounds: Grounds) -> Floats:
-    """What a mm within each triangle costs while nobody is about."""
+    """Return the cost of a mm within each triangle, without any agents."""
     land = grounds.land
     _, owner = grounds.lattice.triangles()
     normal = _meshes(world).triangles[3].normal.T[owner]

@@ -36,7 +36,7 @@ from antdsl.scene.setting import FlowData, MeshData, Setting, world_origin
 
 
 class BindError(ValueError):
-    """Plan and setting do not go together; `report` says where and why."""
+    """Plan and setting do not match; `report` says where and why."""
 
     def __init__(self, report: Report) -> None:
         super().__init__("; ".join(d.message for d in report.errors))
@@ -45,10 +45,10 @@ class BindError(ValueError):
 
 @standard()
 def bind(plan: ir.Plan, setting: Setting, options: Options | None = None, *, built: Built | None = None) -> World:
-    """The world at `setting.first_frame`, everybody born and nobody moved. `plan` has been optimised and verified. `built` keeps
-    what is made of meshes for other worlds.
+    """Return the world at `setting.first_frame`, with all agents born and none moved. `plan` has been optimised and verified.
+    `built` stores data made from meshes for other worlds.
 
-    Raises BindError with a report when plan and setting do not go together."""
+    Raises BindError with a report if plan and setting do not match."""
     world = unpeopled(plan, setting, options, built=built)
     stages.begin("placing agents")
     with np.errstate(all="ignore"):
@@ -67,8 +67,8 @@ def unpeopled(
     built: Built | None = None,
     origin: NDArray[np.float64] | None = None,
 ) -> World:
-    """As `bind`, with nobody in it yet. `origin` is one that positions are counted from already. Raises NoMachineCode where no
-    kernel can run."""
+    """Return a world as `bind` does, but without agents. `origin`: an existing origin that positions are relative to. Raises
+    NoMachineCode if no kernel can run."""
     machine.require()
     options, built = options or Options(), built or Built()
     origin = world_origin(setting) if origin is None else origin
@@ -110,7 +110,7 @@ def unpeopled(
 
 
 def set_param(world: World, name: str, value: float) -> None:
-    """Change a param (base units) from the next step on; nothing is compiled again."""
+    """Change a param (base units) from the next step on, without compilation."""
     if name not in world.plan.params:
         raise KeyError(name)
     world.params[name] = np.float32(value)
@@ -121,7 +121,7 @@ def _moved(mesh: MeshData, origin: NDArray[np.float64]) -> MeshData:
 
 
 def _solids(setting: Setting, origin: NDArray[np.float64], built: Built) -> dict[str, Volume]:
-    """A volume for each solid; BindError where its mesh can be none."""
+    """Return a volume for each solid. Raises BindError if its mesh is unsuitable."""
     if not setting.solids:
         return {}
     found: dict[str, Volume] = {}
@@ -157,7 +157,7 @@ def _ground(
 
 
 def _meshes(meshes: dict[str, MeshData], moving: Iterable[str], by_rays: bool, built: Built) -> MeshGround | None:
-    """The part of the ground that is made of meshes; None without any."""
+    """Return the part of the ground that consists of meshes, or None."""
     surfaces = {name: (mesh.vertices, mesh.faces) for name, mesh in meshes.items()}
     moved = [name for name in moving if name in surfaces]
     if moved:
@@ -169,7 +169,7 @@ def _meshes(meshes: dict[str, MeshData], moving: Iterable[str], by_rays: bool, b
 
 
 def _scenes(meshes: dict[str, MeshData], solids: dict[str, Volume], built: Built) -> dict[str, Obstacle]:
-    """What rays can be cast at: meshes, and solids as they are at each time."""
+    """Return the targets of raycasts: meshes, and solids in their current state."""
     if not meshes and not solids:
         return {}
     found: dict[str, Obstacle] = {
@@ -198,12 +198,12 @@ def _params(world: World) -> None:
 
 
 def run_value(world: World, node: ir.Node) -> float:
-    """A node that is the same for all of a run."""
+    """Return the value of a node that is constant for the whole run."""
     return float(uniform_values(world, needed((node,)))[node])
 
 
 def set_flow(world: World, name: str, flow: FlowData) -> None:
-    """Put another flow in place of one, from the next step on; nothing is compiled again. BindError as in `bind`."""
+    """Replace a flow from the next step on, without compilation. Raises BindError as `bind` does."""
     if name not in world.plan.of_kind("flow"):
         raise KeyError(name)
     from antdsl.runtime.binding.bind_flows import bind_flow

@@ -1,5 +1,5 @@
-"""Who starts where: on the ground or inside things, outside of obstacles and of each other. A place depends on the seed, on the
-agent's species and id and on those who come before it: more agents move nobody."""
+"""Start positions of agents: on the ground or inside things, outside obstacles and clear of each other. A position depends on the
+seed, the agent's species and id, and the agents before it. Adding agents moves no other agent."""
 
 from __future__ import annotations
 
@@ -47,11 +47,11 @@ def populate(world: World) -> None:
 
 
 def arrive(world: World, joining: Sequence[tuple[CrowdData, NDArray[np.int64]]]) -> dict[str, NDArray[np.intp]]:
-    """Rows for agents of lines of the crowd, by species, where the scene places them and apart from each other and from those who
-    are there; nothing else of them is filled yet.
+    """Add agents of crowd lines and return their rows, by species. They are placed as the scene says, clear of each other and of
+    existing agents. Only their positions are filled in.
 
-    Given points go first and are kept; then each line keeps clear of those before it. `world.crowded` tells of lines that
-    found no room for all."""
+    Given points come first and are used unchanged. Then each line keeps clear of those before it. `world.crowded` lists lines
+    that had no space for all agents."""
     joining = [(crowd, ids) for crowd, ids in joining if len(ids)]
     if not joining:
         return {}
@@ -96,8 +96,8 @@ def _put(world: World, crowd: CrowdData, ids: NDArray[np.int64], drawn: Drawn) -
 def _radii(
     world: World, joining: Sequence[tuple[CrowdData, NDArray[np.int64]]], starts: Sequence[StartPlaces]
 ) -> list[NDArray[np.float64]]:
-    """The radius that agents of each line would be born with where they are drawn first, found out in a world that is thrown
-    away: a radius may depend on anything that a birth can ask for."""
+    """Return the radius of each line's agents at birth, at the places of their first draw. A radius may depend on anything
+    available at birth, so a temporary world computes it."""
     trial = replace(
         world,
         populations={name: empty_population(p.plan, world.ground) for name, p in world.populations.items()},
@@ -128,8 +128,8 @@ def _apart(
     starts: Sequence[StartPlaces],
     radius: list[NDArray[np.float64]],
 ) -> list[NDArray[np.float64]]:
-    """The radii, where a line says how far apart its agents begin half of that at least. As even as there is room for: so far
-    that discs of that radius cover as much of the place as all find room for at random, those of all lines with that place."""
+    """Return the radii for spacing. If a line declares a distance between its agents, the radius is at least half of it. For an
+    even crowd, discs of that radius cover as much of the place as random placement can fill. All lines with that place count."""
     found = []
     for (crowd, _), start, own in zip(joining, starts, radius, strict=True):
         half = crowd.place.apart / 2
@@ -141,20 +141,20 @@ def _apart(
 
 
 def _spot(place: PlaceData) -> tuple[object, ...]:
-    """What two lines have in common that begin evenly in one place."""
+    """Return a key that is equal for two lines that begin evenly in one place."""
     return place.on, place.around, place.radius, place.density, place.by_area, place.apart
 
 
 def _rounding(world: World) -> float:
-    """How exactly (mm) agents know where they are: float32 counts from the world's origin."""
+    """Return the precision (mm) of positions: float32 counts from the world's origin."""
     meshes = world.ground.meshes
     far = 0.0 if meshes is None else float(np.abs([meshes.low, meshes.high]).max(initial=0.0))
     return far * float(np.finfo(np.float32).eps)
 
 
 def begin(world: World, joined: Mapping[str, NDArray[np.intp]]) -> None:
-    """Let those who were put into the world stand, be born and set out, by species their rows; what they raise at birth is
-    seen in the first step."""
+    """Set stance, values of birth and start speed of new agents; `joined` has their rows by species. Events that they emit at
+    birth are visible in the first step."""
     for name, rows in joined.items():
         _stand(world, world.populations[name], rows)
     come_alive(world, joined)
@@ -162,7 +162,7 @@ def begin(world: World, joined: Mapping[str, NDArray[np.intp]]) -> None:
         _set_out(world, world.populations[name], rows)
         walks.set_out(world, world.populations[name], rows)
         settle(world, world.populations[name], rows)
-    settle_newborn(world)  # while rows are theirs: who dies at birth has asked for it all the same
+    settle_newborn(world)  # while rows belong to them: an agent that dies at birth has made its requests all the same
     births = set(settled_in("births"))
     if any(births & p.effects.asked.keys() for p in world.populations.values()):
         deaths_and_births(world)
@@ -183,7 +183,7 @@ def _shuffle(world: World, population: Population) -> None:
 
 
 def give_at_birth(population: Population, rows: NDArray[np.intp], place: PlaceData) -> None:
-    """Put what the points of a place give into the registers that the block `born` reads, before it is run."""
+    """Write the values at the points of a place into the registers that the block `born` reads, before it runs."""
     for name, column in place.values.items():
         if (register := ir.begun_with(name)) in population.now:
             given = column[population.ids[rows] % len(column)]
@@ -191,7 +191,7 @@ def give_at_birth(population: Population, rows: NDArray[np.intp], place: PlaceDa
 
 
 def _as_points_face(world: World, population: Population, rows: NDArray[np.intp], up: Vector, drawn: Vector) -> Vector:
-    """Headings: those of the points on which agents begin, along the ground; as drawn where there are none."""
+    """Return headings: those of the points where agents begin, along the ground; else the drawn ones."""
     heading = drawn
     for crowd in world.setting.crowds:
         if crowd.species != population.name or crowd.place.ahead is None:
@@ -207,7 +207,7 @@ def _as_points_face(world: World, population: Population, rows: NDArray[np.intp]
 
 
 def _stand(world: World, population: Population, rows: NDArray[np.intp]) -> None:
-    """Up from the ground, and a heading drawn around it unless the scene says which; at rest."""
+    """Set up from the ground, and a heading drawn around it unless the scene gives one; at rest."""
     wanted = np.stack([population.now[f"up.{axis}"] for axis in AXES], axis=1).astype(np.float64)
     up = vec.columns(world.ground.upright(population.footing, wanted)[rows], np.float32)
     angle = _draw(world, population.name, 0, population.ids[rows]) * TURN
@@ -223,7 +223,7 @@ def _stand(world: World, population: Population, rows: NDArray[np.intp]) -> None
 
 
 def _set_out(world: World, population: Population, rows: NDArray[np.intp]) -> None:
-    """A drawn share of full speed along the heading (T02), unless the species says at birth how it moves."""
+    """Set a velocity along the heading, a drawn share of full speed (T02), unless the species sets its motion at birth."""
     if any(isinstance(s, ir.Store) and s.register.startswith("velocity.") for _, s in placed(population.plan.born)):
         return
     speed = population.now["max_speed"][rows] * _draw(world, population.name, 1, population.ids[rows])

@@ -1,5 +1,5 @@
-"""What was made of meshes, kept for the next world by a digest of all that it was made from: an edited program rarely comes with
-other meshes, and a ground with its rays and cells takes longer to make than a step."""
+"""Data made from meshes, cached for the next world by a digest of its inputs. An edited program rarely comes with other meshes,
+and preparing a ground with its rays and cells takes longer than a step."""
 
 from __future__ import annotations
 
@@ -15,16 +15,16 @@ T = TypeVar("T")
 
 
 class Built:
-    """Grounds, ray scenes, cells, volumes and flows that do not change once they are made. Those that change, as what is dug or
-    moves does, are kept as they were made, and given out as copies."""
+    """Grounds, ray scenes, cells, volumes and flows that do not change once they are made. Things that change, such as dug or
+    moving ones, are stored in their initial state and returned as copies."""
 
     def __init__(self) -> None:
         self._kept: dict[str, Any] = {}
         self._asked: set[str] = set()
 
     def once(self, what: str, of: object, make: Callable[[], T], *, copied: Callable[[T], T] | None = None) -> T:
-        """What `make` gives, or gave for the same `of` (arrays, numbers, texts and what is made of them). An exception of `make`
-        is passed on, and nothing is kept."""
+        """Return the result of `make`, or the cached one for an equal `of` (arrays, numbers, texts and combinations of them). An
+        exception of `make` propagates, and nothing is cached."""
         key = digest((what, of))
         self._asked.add(key)
         if key not in self._kept:
@@ -33,17 +33,17 @@ class Built:
         return found if copied is None else copied(found)
 
     def once_deep(self, what: str, of: object, make: Callable[[], T]) -> T:
-        """As `once`, for what changes as it is used: a copy of all of it."""
+        """Like `once`, for values that change in use: returns a deep copy."""
         return self.once(what, of, make, copied=deepcopy)
 
     def forget(self) -> None:
-        """Drop what was not asked for since this was called last."""
+        """Drop entries that were not used since the last call."""
         self._kept = {key: value for key, value in self._kept.items() if key in self._asked}
         self._asked = set()
 
 
 def digest(value: object) -> str:
-    """A hash of arrays, numbers, texts, mappings, sequences and dataclasses of these, by what they hold."""
+    """Return a hash of arrays, numbers, texts, mappings, sequences and dataclasses of these, by content."""
     hashed = sha256()
     _add(hashed.update, value)
     return hashed.hexdigest()

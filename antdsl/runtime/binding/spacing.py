@@ -1,11 +1,9 @@
-"""Keeps agents apart where they start: each stands at the first of its drawn places where its `radius` meets nobody who came
-before it.
+"""Separates agents at the start: each takes the first of its random positions where its `radius` touches no earlier agent.
 
-Method: random sequential addition of discs (dart throwing), in rounds over all agents at once. In a round everybody without a
-place tries the next ones of its own series; of two who meet, the later one goes on. What becomes of an agent so depends on
-those before it alone: more agents move none of them. Random discs of one size cover no more than 54.7 % of a plane, and get
-there ever more slowly (J. Feder, Random sequential adsorption, J. Theor. Biol. 87, 1980), so tries are limited.
-"""
+Method: random sequential addition of discs (dart throwing), in rounds over all agents at once. In a round, each agent without a
+position tries the next ones of its series. If two touch, the later one tries again. An agent's result therefore depends only on
+those before it: more agents move none of them. Random discs of one size cover no more than 54.7 % of a plane and approach that
+ever more slowly. The number of tries is therefore limited (J. Feder, Random sequential adsorption, J. Theor. Biol. 87, 1980)."""
 
 from __future__ import annotations
 
@@ -28,7 +26,7 @@ _SOME = (1,) * 8 + (2,) * 4 + (4,) * 4 + (8,) * 4 + (16,) * 4
 _ROUNDS = ((0.005, _SOME + (32,) * 8), (0.1, _SOME), (1.0, (1,) * 4))
 _BATCH = 64  # agents of the first batch; of each other as many as have been before it
 _APART = 1.001  # so much farther apart than their radii reach: float32 rounds
-_NEAREST = 8  # of smaller ones, asked for first; twice as many again where these do not settle it
+_NEAREST = 8  # smaller neighbours of the first query; each further query doubles the number until the result is certain
 _FINE = 8  # of those who may overlap already, one in so small a part of a body stands for all there
 
 
@@ -57,7 +55,7 @@ Draw = Callable[[NDArray[np.int64], range], Drawn]
 
 @dataclass(frozen=True, eq=False)
 class _Group:
-    """Some discs of much the same size: where they stand, and their numbers."""
+    """Discs of similar size: their positions and numbers."""
 
     place: Floats
     entries: Rows
@@ -72,8 +70,8 @@ class _Group:
 
 
 class Room:
-    """Who stands where, as discs. An entry has a place, a radius and the number in the order of those who start; of two that
-    overlap the later one gives way. `rounding` (mm) is how exactly positions are known."""
+    """The occupied places, as discs. An entry has a place, a radius and its number in the start order; of two that overlap the
+    later one moves. `rounding` (mm) is the precision of positions."""
 
     def __init__(self, rounding: float = 0.0) -> None:
         self._rounding = rounding
@@ -84,13 +82,13 @@ class Room:
         self._groups: list[_Group] = []
 
     def begin_with(self, place: Floats, radius: Floats) -> None:
-        """Take in those who are there already and stay wherever they are; they may overlap each other."""
+        """Add agents that are already present and do not move; they may overlap each other."""
         rows = np.flatnonzero(takes_room(radius))
         rows = rows[_firsts(place[rows], radius[rows], _FINE)]
         self.add(place[rows], radius[rows], np.full(len(rows), -1))
 
     def add(self, place: Floats, radius: Floats, order: Rows) -> Rows:
-        """Take in discs; gives their numbers as entries."""
+        """Add discs; return their numbers as entries."""
         first = len(self._order)
         self._place = np.concatenate([self._place, place])
         self._radius = np.concatenate([self._radius, radius])
@@ -113,9 +111,9 @@ class Room:
         self._groups = [_Group(self._place[each], each, float(self._radius[each].max())) for each in chosen]
 
     def met(self, place: Floats, radius: Floats, order: Rows | None = None) -> tuple[Rows, Rows, Floats]:
-        """Pairs of given discs and entries that overlap: numbers of both, and their distance as a share of that at which they
-        would touch. With the `order` of the discs only entries before them, and of smaller ones, of which thousands may lie
-        below one disc, the one that it meets most."""
+        """Return pairs of given discs and entries that overlap: the numbers of both, and their distance as a share of the
+        distance at contact. With the discs' `order`, only entries before them count. Thousands of smaller entries may be below
+        one disc, so only the one with the most overlap counts."""
         pairs: list[tuple[Rows, Rows, Floats]] = []
         classes = _size_class(radius)
         for size in np.unique(classes):
@@ -146,7 +144,8 @@ class Room:
         return share
 
     def _met_most(self, place: Floats, radius: Floats, order: Rows, rows: Rows, group: _Group) -> tuple[Rows, Rows, Floats]:
-        """The entry before it that each of some discs meets most in a group: among the nearest, until none farther off can be."""
+        """Return, for each of some discs, the earlier entry of a group with the most overlap. It checks the nearest entries,
+        until none farther away can overlap more."""
         entry, least = np.zeros(len(rows), np.intp), np.full(len(rows), np.inf)
         asked, count = np.arange(len(rows)), _NEAREST
         while asked.size:
@@ -164,14 +163,15 @@ class Room:
         return rows, entry, least
 
     def free(self, place: Floats, radius: Floats, order: Rows) -> Floats:
-        """How free of all who come before (n) the given discs are: 1 free, 0 in the middle of another."""
+        """Return how free the given discs are of all earlier ones (n): 1 is free, 0 is in the centre of another."""
         i, _, share = self.met(place, radius, order)
         least = np.ones(len(place))
         np.minimum.at(least, i, share)
         return least
 
     def give_way(self, entries: Rows) -> tuple[Rows, Floats]:
-        """Entries that have to go since the given ones were added, these among them, and how free their places were."""
+        """Return the entries that must move after the given ones were added (possibly these themselves), and how free their
+        places were."""
         i, entry, share = self.met(self._place[entries], self._radius[entries])
         own = entries[i]
         loser = np.where(self._order[entry] < self._order[own], own, entry)
@@ -186,16 +186,16 @@ class Room:
 
 
 def takes_room(radius: NDArray[np.floating[Any]]) -> Flags:
-    """Whose radius keeps others away: one above 0 that is a number."""
+    """Return which radii keep other agents away: those that are above 0 and not NaN."""
     wide: Flags = np.isfinite(radius) & (radius > 0)
     return wide
 
 
 def spread(room: Room, draw: Draw, ids: NDArray[np.int64], radius: Floats, first: int) -> tuple[Drawn, Flags]:
-    """Places for agents, in the order of their ids, `first` being the number of the first one in the order of all who start;
-    and who found one where it meets nobody. The others stand where they meet those before them least.
+    """Return positions for agents in id order, and flags for those with a position where they touch no other. `first`: the first
+    agent's number in the order of all starting agents. The others get the position where they touch earlier agents least.
 
-    Those who found one are in the room afterwards, the others are not."""
+    Agents with a free position are in the room afterwards; the others are not."""
     found: Drawn | None = None
     fits = np.zeros(len(ids), np.bool_)
     rounds: tuple[int, ...] = _ROUNDS[0][1]
@@ -254,7 +254,7 @@ def _batch(
 
 
 def _score(room: Room, drawn: Drawn, rows: Rows, radius: Floats, wide: Flags, order: Rows) -> Floats:
-    """1 for a free place, less for one that is not, -1 for one where nobody may start."""
+    """Return 1 for a free position, less for an occupied one, and -1 for a position where no agent may start."""
     score = np.where(drawn.good, 1.0, -1.0)
     asked = np.flatnonzero(drawn.good & wide[rows])
     score[asked] = room.free(drawn.place[asked], radius[rows[asked]], order[rows[asked]])
@@ -267,13 +267,13 @@ def _joined(one: Drawn, other: Drawn) -> Drawn:
 
 
 def _size_class(radius: Floats) -> NDArray[np.int64]:
-    """Radii within a factor of 2 of each other have one number."""
+    """Return a size class; radii in one class differ by less than a factor of 2."""
     return np.frexp(radius)[1].astype(np.int64)
 
 
 def _firsts(place: Floats, radius: Floats, fine: int) -> Rows:
-    """The first of those of one size that are in one cell, too small for two of them who do not overlap, or `fine` times smaller;
-    ascending. So few are left that pairs of them can be counted."""
+    """Return the first disc per size class and cell, ascending. A cell is too small for two discs that do not overlap, or `fine`
+    times smaller. Few enough discs remain to count their pairs."""
     size = _size_class(radius)
     smallest = np.ldexp(0.5, size)  # of the class
     cell = np.floor(place / (2.0 * smallest / (np.sqrt(3.0) * fine))[:, None])

@@ -1,4 +1,4 @@
-"""What is wrong with where a crowd begins, known once it is bound: no room for all, or no path to where a flow leads."""
+"""Problems with the start of a crowd, found after binding: not enough space for all, or no path to the target of a flow."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _ASKED = "open a way for it, or move the target or the crowd; if it is meant: `#
 
 
 def start_findings(scene: Scene, world: World) -> Report:
-    """Warnings about the crowd of a world as it stands, each at its place in the scene."""
+    """Return warnings about a world's crowd, each with its place in the scene."""
     report = crowding(scene, world)
     for name, flow in world.setting.flows.items():
         if not isinstance(flow, SolvedFlow) or name not in world.flows:
@@ -60,7 +60,7 @@ def reaching(world: World, species: str, flow: str) -> int:
 
 
 def _flow_uses(species: SpeciesPlan) -> dict[str, set[str]]:
-    """By the name of a flow, the operations by which a species asks for it."""
+    """Return, by the name of a flow, the operations with which a species reads it."""
     found: dict[str, set[str]] = {}
     asked = [node for _, block in blocks(species) for _, each in statements(block) for node in operands(each)]
     for node in needed([*asked, *species.lazy]):
@@ -70,8 +70,8 @@ def _flow_uses(species: SpeciesPlan) -> dict[str, set[str]]:
 
 
 def crowding(scene: Scene, world: World) -> Report:
-    """Warnings for lines of the crowd whose place had no room for all when the world was bound, each at the line's place. Of one
-    that lies beside all surfaces was told before."""
+    """Return warnings for crowd lines that had no space for all agents at binding, each located at the line's place. A line that
+    lies off all surfaces is skipped, because it was reported before."""
     report, setting = Report(), world.setting
     for line in world.crowded:
         if beside(setting.crowds[line.group].place, setting.surfaces, setting.solids, scene.model.up):

@@ -44,7 +44,7 @@ class StartPlaces:
             self._faces = areas(world, self._on, crowd.place.density, crowd.place.around, crowd.place.radius)
 
     def area(self) -> float | None:
-        """How much of the ground (mm²) agents can begin on, to two digits where a sample tells; None where that is not known."""
+        """Return the ground area (mm²) on which agents can begin, to two digits if sampled; None if unknown."""
         place = self.place
         if self.given or place.inside is not None or (place.density is not None and not place.by_area):
             return None
@@ -64,7 +64,7 @@ class StartPlaces:
         return whole if share == 1 else float(f"{whole * share:.1e}")
 
     def larger(self, cover: float) -> float | None:
-        """A radius (mm) of the place at which agents who cover so much find room; None where there is none."""
+        """Return a radius (mm) of the place at which agents that cover `cover` (mm²) fit; None if there is none."""
         radius = self.place.radius
         for _ in range(_LARGER):
             if radius is None:
@@ -77,7 +77,8 @@ class StartPlaces:
         return None
 
     def sides(self, cover: float) -> bool:
-        """Whether agents who cover so much, and begin anywhere on a surface from above, find room on all of its sides."""
+        """Return whether agents that cover `cover` (mm²), and begin anywhere on a surface from above, would fit on all of its
+        sides."""
         place = self.place
         if self.given or place.by_area or not place.on or any((place.inside, place.density, place.around, place.radius)):
             return False
@@ -105,7 +106,7 @@ class StartPlaces:
         return randomness.uniform(seed, PLACEMENT_FRAME, self._species, site, index, ids)
 
     def _points(self, ids: Ids, attempt: int) -> Floats:
-        """Wanted places (n, 3), to be dropped onto the ground."""
+        """Return the requested positions (n, 3), to be dropped onto the ground."""
         world, place = self._world, self.place
         if place.points is not None and len(place.points):
             return np.asarray(place.points, np.float64)[ids % len(place.points)] - world.origin
@@ -126,15 +127,15 @@ class StartPlaces:
         return _on_faces([self._grounds[name] for name in self._on], u, v, w) - world.origin
 
     def _by_area(self, faces: Area, ids: Ids, tries: range) -> Drawn:
-        """Places evenly over faces, whichever way they look, up being off them."""
+        """Return places spread evenly over faces of any orientation, with up along their normals."""
         draws = [np.concatenate([self._uniform(ids, 4 * attempt + k) for attempt in tries]) for k in range(4)]
         footing, up, found = faces.at(*draws)
         at = self._world.ground.position(footing)
         return Drawn(footing, at, up, found & ~inside_obstacle(self._world, at))
 
     def _seen_from(self, start: Floats, ids: Ids, tries: range) -> Drawn:
-        """Where lines from a place in drawn directions first meet a mesh, ups towards it. A line that meets none, or another than
-        those in `on`, leads nowhere: the surface nearest to where it began."""
+        """Return the first hits of rays from a place in drawn directions, with ups towards the place. A ray that hits no mesh, or
+        one not in `on`, gives no place: the surface nearest to its start."""
         world, meshes = self._world, self._world.ground.meshes
         assert meshes is not None
         wanted = [meshes.names.index(name) for name in (self.place.on or meshes.names) if name in meshes.names]

@@ -1,4 +1,4 @@
-"""Surfaces by their area: points spread over faces whichever way they look, evenly or as densely as a map says."""
+"""Sampling of surfaces by area: points on faces of any orientation, spread evenly or by the density of a map."""
 
 from __future__ import annotations
 
@@ -38,11 +38,11 @@ class Area:
     ball: tuple[Floats, float] | None
 
     def points(self, u: NDArray[np.float32], *draws: NDArray[np.float32]) -> tuple[NDArray[np.int64], Floats, Floats, Floats]:
-        """Faces (n), weights b1 and b2 (n), places (n, 3), from four draws each.
+        """Return faces (n), weights b1 and b2 (n) and places (n, 3), from four draws each.
 
-        A density that is linear in a triangle is a mixture of three that are each proportional to one corner's weight, and so are
-        gaps between ascending draws, two of them joined (L. Devroye, Non-Uniform Random Variate Generation, 1986, V.2, XI.4).
-        Without any triangle the face is -1, the place zero."""
+        A linear density in a triangle is a mixture of three densities, each proportional to one corner's weight. Gaps between
+        sorted draws, two of them joined, have these densities (L. Devroye, Non-Uniform Random Variate Generation, 1986, V.2,
+        XI.4). Without any triangle the face is -1 and the place zero."""
         if not len(self.cumulative):
             return np.full(len(u), -1), np.zeros(len(u)), np.zeros(len(u)), np.zeros((len(u), 3))
         pick = np.searchsorted(self.cumulative, u.astype(np.float64) * self.cumulative[-1], side="right")
@@ -93,9 +93,10 @@ class Area:
 
 
 def areas(world: World, on: tuple[str, ...], density: str | None, around: Point | None, radius: float | None) -> Area:
-    """The faces of some surfaces and solids as they lie now, within a ball and as dense as a map says, where those are given.
+    """Return the faces of some surfaces and solids in their current position, within a ball and with the density of a map, if
+    given.
 
-    A ball that meets no face is made so much larger that what it met would begin at its old border."""
+    A ball that meets no face is enlarged until it extends its original radius beyond the nearest face."""
     mesh, local, corner, edge1, edge2, weight = _faces(world, on, density)
     face, weights = np.arange(len(mesh)), np.broadcast_to(_CORNERS, (len(mesh), 3, 2))
     ball = None
@@ -146,8 +147,8 @@ def _faces(world: World, on: tuple[str, ...], density: str | None) -> _Faces:
 
 
 def _within(ball: tuple[Floats, float], corner: Floats, edge1: Floats, edge2: Floats) -> tuple[NDArray[np.int64], Floats]:
-    """Triangles that cover what of the faces lies in a ball, those that reach out of it cut into four as long as they are
-    larger than half its radius: faces (m) and weights (m, 3, 2) of their corners."""
+    """Return triangles that cover the part of the faces in a ball: faces (m) and weights (m, 3, 2) of their corners. A triangle
+    that reaches outside is cut into four while it is larger than half the radius."""
     middle, radius = ball
     face, weights = np.arange(len(corner)), np.broadcast_to(_CORNERS, (len(corner), 3, 2))
     kept: list[tuple[NDArray[np.int64], Floats]] = []
@@ -168,8 +169,8 @@ def _within(ball: tuple[Floats, float], corner: Floats, edge1: Floats, edge2: Fl
 
 
 def _cut(face: NDArray[np.int64], weights: Floats, at: Floats) -> tuple[NDArray[np.int64], Floats]:
-    """Triangles with corners `at` (m, 3, 3), by face and weights, cut into four at the middles of their edges; thin ones into two
-    at that of the longest: of their quarters ever more would lie side by side in the ball."""
+    """Cut triangles with corners `at` (m, 3, 3), given by face and weights, into four at their edge midpoints. Thin triangles are
+    cut into two at the midpoint of the longest edge: ever more of their quarters would lie in the ball."""
     sides = ((np.roll(at, -1, axis=1) - at) ** 2).sum(axis=2)
     across = np.cross(at[:, 1] - at[:, 0], at[:, 2] - at[:, 0])
     thin = sides.max(axis=1) > _THIN * np.sqrt((across * across).sum(axis=1))

@@ -1,4 +1,4 @@
-"""Estimates of what binding a scene has to allocate: counts and bytes from extents and areas, before anything is made."""
+"""Estimates of the allocations for binding a scene: counts and bytes from extents and areas, before anything is made."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _LEG = 550  # of a leg that walks
 
 
 class Work(NamedTuple):
-    """What a thing of the world needs: `number` of `parts`, and about so many bytes."""
+    """The needs of one thing of the world: `number` of `parts`, and the approximate bytes."""
 
     thing: str
     number: int
@@ -39,7 +39,7 @@ def world_work(
 
 
 def _saturated(count: float) -> int:
-    """A whole number, however large or endless the estimate is."""
+    """Return a whole number, also for very large or infinite estimates."""
     return int(min(count, 2.0**62)) if count > 0 else 0
 
 

@@ -1,7 +1,7 @@
-"""Places and axes of bodies as one table, rows by id, and points of bodies in the world.
+"""Positions and axes of bodies as one table, rows by id, and the conversion of points between bodies and the world.
 
-A table is float64[13, n]: place (mm), and the unit vectors ahead, up and aside, three rows each; the size (mm) is the last row.
-Points of a body count in its lengths: ahead, above, aside."""
+A table is float64[13, n]: position (mm), and the unit vectors ahead, up and aside, three rows each. The last row is the size
+(mm). Points of a body are in its lengths: ahead, above, aside."""
 
 from __future__ import annotations
 
@@ -24,7 +24,8 @@ _F = np.float32
 
 
 def place_bodies(population: Population, room: str, threads: int) -> NDArray[np.float64]:
-    """The table of a population. `room`: the name of the memory that it is written to, which the next call with it reuses."""
+    """Return the table of a population. `room`: the name of the buffer that holds it; the next call with this name reuses the
+    buffer."""
     n, now = len(population), population.now
     (bodies,) = population.room(room, 1, (_ROWS, n), np.float64)
     if n:
@@ -60,7 +61,7 @@ def _place_bodies(
 
 @inlined
 def orthonormal_axes(heading: Vec3, up: Vec3) -> tuple[Vec3, Vec3, Vec3]:
-    """The unit vectors ahead, up and aside of a body: the heading as it is, and up made perpendicular to it."""
+    """Return the unit vectors ahead, up and aside of a body: the unchanged heading, and `up` made perpendicular to it."""
     ahead = direction(heading, up)
     straight = direction(flat(up, ahead), ahead)
     return ahead, straight, cross(ahead, straight)
@@ -88,7 +89,7 @@ def body_at(bodies: Array2[F64], i: I64) -> Body:
 
 @inlined
 def to_world(body: Body, x: F32, y: F32, z: F32) -> Vec3:
-    """The place (mm) in the world of a point of a body, float32 lengths."""
+    """Return the world position (mm) of a point of a body in float32 body lengths."""
     place, ahead, up, aside, size = body
     a, b, c = np.float64(x) * size, np.float64(y) * size, np.float64(z) * size
     return (
@@ -100,7 +101,7 @@ def to_world(body: Body, x: F32, y: F32, z: F32) -> Vec3:
 
 @inlined
 def to_body(body: Body, at: Vec3) -> Vec3F32:
-    """Where a place (mm) of the world is from a body, float32 lengths."""
+    """Return a world position (mm) relative to a body, in float32 body lengths."""
     place, ahead, up, aside, size = body
     by = _F(1.0 / max(size, _LEAST))
     away = _single(minus(at, place))

@@ -1,6 +1,6 @@
-"""Ground for the feet that need some, as kernels: what their rays hit, and which hits a leg can use.
+"""Kernels that find ground for feet: what their rays hit, and which hits a leg can use.
 
-Requests are columns: arrays (3, k) of places (mm), float64[k] of lengths. Rays are short, so a `TriangleGrid` answers them."""
+Requests are columns: arrays (3, k) of positions (mm), float64[k] of lengths. Rays are short, so a `TriangleGrid` answers them."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ from antdsl.runtime.feet.stepping import LIFTS, Legs, Trunks
 from antdsl.runtime.feet.trunk import lean
 
 _F = np.float32
-NEAR = 0.3  # of a leg: a hit so near to the wanted place is used
-BEYOND = 1.6  # times the way to the wanted place: how far the first ray goes
-_LOWEST = 0.2  # of a leg: the least height above a wanted place from which it is looked for
+NEAR = 0.3  # of a leg: a hit this near to the requested position is used
+BEYOND = 1.6  # times the distance to the requested position: length of the first ray
+_LOWEST = 0.2  # of a leg: least height above a requested position from which the search starts
 
 Hits = tuple[Array1[F64], Array2[F64], Array1[I16], Array1[I32], Array2[F64]]  # as `Found`
-# Hip, wanted place, up of the body, how far the foot joint may be from the hip, and how high it is above its ground.
+# Hip, requested position, up of the body, greatest distance of the foot joint from the hip, and its height above the ground.
 Seekers = tuple[Array2[F64], Array2[F64], Array2[F64], Array1[F64], Array1[F64]]
 
 
@@ -43,9 +43,10 @@ def aim(
     begin: I64,
     end: I64,
 ) -> None:
-    """Where hips will be when feet land, the places that these want, and the first ray between them, of requests (agent times L
-    plus leg) from `begin` to before `end`. `measures`: as `Gaits.legs` and `Gaits.exact`. `quick`: the foot lifts, and looks
-    again when it lands."""
+    """Compute where hips will be when feet land, the target positions of the feet, and the first ray between the two.
+
+    Requests are agent times L plus leg, from `begin` to before `end`. `measures`: `Gaits.legs` and `Gaits.exact`. `quick`: the
+    foot lifts, and searches again when it lands."""
     legs, exact = measures
     count = legs.shape[1]
     target_x, target_z, left = targets
@@ -80,8 +81,10 @@ def cast(
     begin: I64,
     end: I64,
 ) -> tuple[I64, I64]:
-    """Put what rays from `begin` to before `end` hit of a mesh, the floor's `number`, where that is nearer than `hits` so far.
-    Into `far`, from `begin` on: the rays that are too long for the grid. Returns where they begin, and how many there are."""
+    """Store what rays from `begin` to before `end` hit of a mesh, number `number` of the floor, where that is nearer than `hits`
+    so far.
+
+    `far`, from `begin` on, receives the rays that are too long for the grid. Returns `begin` and the number of these rays."""
     shape, (low, high), count = grid[0], box, 0
     zero = shape[6], shape[7], shape[8]
     part, place, on, face, weight = hits
@@ -116,8 +119,8 @@ def cast(
 def judge(
     seekers: Seekers, hits: Hits, quick: Array1[BOOL], fits: Array1[BOOL], rows: Array1[I64], begin: I64, end: I64
 ) -> tuple[I64, I64]:
-    """Which hits legs can reach, into `fits`; and, into `rows` from `begin` on, the seekers that are not `quick` and whose hit is
-    none of those or far from the wanted place. Returns where these begin, and how many there are."""
+    """Mark in `fits` the hits that legs can reach. Write into `rows`, from `begin` on, the seekers that are not `quick` and have
+    no reachable hit near the requested position. Returns where these begin, and their number."""
     longest, count = seekers[3], 0
     for k in range(begin, end):
         if quick[k]:
@@ -140,7 +143,8 @@ def look_around(
     begin: I64,
     end: I64,
 ) -> None:
-    """The rays of seekers `rows` to the point above their wanted place, from `origins`, and from there (`above`) down."""
+    """Compute the rays of seekers `rows` from `origins` to the point above their requested position, and from there (`above`)
+    down."""
     hips, wanted, ups, longest, _ = seekers
     for n in range(begin, end):
         k = rows[n]
@@ -165,10 +169,11 @@ def choose(
     begin: I64,
     end: I64,
 ) -> tuple[I64, I64]:
-    """Put into `hits` what is nearest to the wanted place: the hit of the first ray, of that to the point above, or of that down.
+    """Put into `hits` the hit nearest to the requested position, of three rays: the first, that to the point above, and that
+    down.
 
-    Into `lost` and `reach`, from `begin` on: the numbers in `rows` of seekers of which none is near enough, and within which
-    distance (mm) a place would be nearer. Returns where they begin, and how many there are."""
+    Write seekers without a near enough hit into `lost` (their indices in `rows`), from `begin` on. `reach` gets the distance (mm)
+    within which a position would be nearer. Returns where they begin, and their number."""
     longest = seekers[3]
     count = 0
     for n in range(begin, end):
@@ -197,8 +202,8 @@ def choose(
 
 @kernel
 def accept(seekers: Seekers, rows: Array1[I64], close: Hits, seen: Hits, hits: Hits, begin: I64, end: I64) -> None:
-    """Put the nearest places `close` of seekers `rows` into `hits` where a leg reaches them and its hip sees them: `seen` is what
-    rays from there hit."""
+    """Copy the nearest positions `close` of seekers `rows` to `hits` where the leg reaches them and its hip sees them. `seen`:
+    what rays from the hip hit."""
     for n in range(begin, end):
         k = rows[n]
         gap = minus(of(seen[1], n), of(close[1], n))
@@ -219,7 +224,7 @@ def settle(
     begin: I64,
     end: I64,
 ) -> None:
-    """Let feet have the ground that was found for requests; where there is none they hang at the wanted place."""
+    """Assign to feet the ground that was found for their requests. A foot without ground hangs at the requested position."""
     count = on.shape[0]
     for k in range(begin, end):
         i, leg = requests[k] // count, requests[k] % count
@@ -232,7 +237,7 @@ def settle(
 
 @inlined
 def _reaches(seekers: Any, hits: Any, k: Any, n: Any) -> Any:
-    """Whether the foot joint of seeker `k`, on hit `n`, would be no farther from its hip than its leg is long."""
+    """Return whether hit `n` is in reach of seeker `k`: its foot joint would be no farther from the hip than the leg is long."""
     hip, up, leg, sole = of(seekers[0], k), of(seekers[2], k), seekers[3][k], seekers[4][k]
     place = of(hits[1], n)
     joint = place[0] + up[0] * sole, place[1] + up[1] * sole, place[2] + up[2] * sole
@@ -244,7 +249,7 @@ def _reaches(seekers: Any, hits: Any, k: Any, n: Any) -> Any:
 
 @inlined
 def _miss(seekers: Any, hits: Any, k: Any, n: Any) -> Any:
-    """How far hit `n` is from the place that seeker `k` wants."""
+    """Return the distance of hit `n` from the target position of seeker `k`."""
     gap = minus(of(hits[1], n), of(seekers[1], k))
     return np.sqrt(dot(gap, gap))
 

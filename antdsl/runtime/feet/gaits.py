@@ -33,8 +33,8 @@ SQUARE = 9  # of the farthest that a standing foot is from its hip
 
 
 class Gaits:
-    """The gaits of a body by speed, and its legs, as tables for kernels. `cycle`: seconds of a cycle in which an agent puts its
-    feet back; `swing`: seconds that a swing takes at most."""
+    """The gaits of a body by speed, and its legs, as tables for kernels. `cycle`: seconds of a cycle in which a standing agent
+    puts its feet back. `swing`: the longest swing in seconds."""
 
     def __init__(self, legs: LegsData) -> None:
         gaits = legs.gaits
@@ -68,8 +68,8 @@ class Gait(NamedTuple):
 
 @inlined
 def gait_at(gaits: Any, speed: F32, went: F32, reach: F32) -> Gait:
-    """The gait at a speed (lengths a second) of an agent that covers `went` lengths in a frame. `reach`: that of its shortest
-    leg."""
+    """Return the gait at a speed (lengths a second) of an agent that covers `went` lengths in a frame. `reach`: the reach of its
+    shortest leg."""
     speeds, values = gaits[0], gaits[1]
     last, k = speeds.size - 1, 0
     for each in range(1, speeds.size):
@@ -90,8 +90,8 @@ def gait_at(gaits: Any, speed: F32, went: F32, reach: F32) -> Gait:
 
 
 def resting(legs: LegsData) -> tuple[Floats, Floats]:
-    """Where feet rest, ahead and aside of the body, float32[L] each: as the body stands, and nearer to the hip where a leg is
-    stretched out so far that it could not follow a step."""
+    """Return where feet rest, ahead and aside of the body, float32[L] each. This is the position in the standing body, but nearer
+    to the hip where a stretched leg could not follow a step."""
     down, ahead = legs.foot - legs.hip, _ahead(legs)
     most = ahead * (1.0 - ROOM)
     x = legs.hip[:, 0] + np.clip(down[:, 0], -most, most)
@@ -99,7 +99,7 @@ def resting(legs: LegsData) -> tuple[Floats, Floats]:
 
 
 def _ahead(legs: LegsData) -> NDArray[np.float64]:
-    """How far ahead or behind of its hip each foot can be, with the trunk a little lower."""
+    """Return how far ahead or behind its hip each foot can be, with a slightly lowered trunk."""
     down = legs.hip - legs.foot
     length = legs.length * REACHED
     height = np.maximum(down[:, 1] - SINK * legs.length, 0.0)
@@ -107,6 +107,6 @@ def _ahead(legs: LegsData) -> NDArray[np.float64]:
 
 
 def _reach(legs: LegsData) -> Floats:
-    """How far ahead or behind of where it rests each foot can be."""
+    """Return how far ahead or behind its resting place each foot can be."""
     found = _ahead(legs) - np.abs(resting(legs)[0].astype(np.float64) - legs.hip[:, 0])
     return np.asarray(np.maximum(found, 0.05 * legs.length), np.float32)

@@ -1,8 +1,9 @@
-"""Ground for feet: what a leg can reach of surfaces, obstacles, solids and the plane, and on which side it is.
+"""Ground for feet: what a leg can reach of surfaces, obstacles, solids and the plane, and on which side.
 
-A foot seeks along the straight line from its hip to where it wants to stand, so that no leg passes through a sheet. Where that
-leads far from the place (an edge, a wall, a step), it looks from above the place along the body's up, as far as the hip sees that
-point, and last for the nearest place. What it finds is in sight of the hip and no farther than the leg is long."""
+A foot searches along the straight line from its hip to its target position, so that no leg passes through a sheet. If that ends
+far from the target (an edge, a wall, a step), the foot searches from above the target, along the body's up. The start of this ray
+is limited to what the hip sees. The last attempt is the nearest position. A result is visible from the hip and no farther away
+than the leg is long."""
 
 from __future__ import annotations
 
@@ -27,13 +28,13 @@ Places = NDArray[np.float64]  # (3, k)
 Rows = NDArray[np.int64]
 Arrays = tuple[NDArray[Any], ...]
 
-_SHY = 1e-6  # of a way: how much shorter it is when it is asked whether something is on it
+_SHY = 1e-6  # of a distance: by how much a ray is shortened in the test for obstructions
 _RAYS = 256  # for which a thread pays
 
 
 @dataclass(slots=True, eq=False)
 class Found:
-    """Where k rays met something: `place` float64[3, k], `part` of the way (inf: nothing), `on`, `face` and `weight` as in
+    """Where k rays hit something: `place` float64[3, k], `part` of the ray (inf: no hit), `on`, `face` and `weight` as in
     `Feet`."""
 
     part: NDArray[np.float64]
@@ -62,8 +63,8 @@ class Found:
 
 
 class Floor:
-    """All that feet can stand on, by numbers: surfaces, obstacles and solids that are drawn (all where none
-    is), in the setting's order."""
+    """All that feet can stand on, by numbers: the drawn surfaces, obstacles and solids (all if none is drawn), in the setting's
+    order."""
 
     def __init__(self, world: World) -> None:
         setting = world.setting
@@ -79,8 +80,10 @@ class Floor:
         }
 
     def cast(self, world: World, origin: Places, way: Places, most_hit: bool = True) -> Found:
-        """What the straight lines from `origin` by `way` hit first. `most_hit`: whether most are expected to end on what bodies
-        walk on, so that Open3D need not test first which do; the answer is the same."""
+        """Return the first hits of the straight lines from `origin` by `way`.
+
+        `most_hit`: most lines are expected to hit walkable surfaces, so Open3D need not test first which do. It does not change
+        the result."""
         found, threads = Found.none(origin.shape[1]), world.options.threads
         if isinstance(world.ground, Plane):
             _on_plane(world, origin, way, found)
@@ -108,7 +111,7 @@ class Floor:
         return found
 
     def nearest(self, world: World, points: Places, reach: NDArray[np.float64]) -> Found:
-        """The places nearest to points, of those within `reach` (mm, [k])."""
+        """Return the nearest positions to points, within `reach` (mm, [k])."""
         found = Found.none(points.shape[1])
         least = reach.copy()
         for k, name in enumerate(self.names):
@@ -135,7 +138,7 @@ class Floor:
         return found
 
     def carried(self, world: World, on: NDArray[np.int16], face: NDArray[np.int32], weight: Places, place: Places) -> None:
-        """Put places, [3, …], on what moves where that is now."""
+        """Move places [3, …] that are on moving things to their current positions."""
         for k in self.moving:
             rows = on == k
             if rows.any():
@@ -172,9 +175,9 @@ class Floor:
 
 @dataclass(slots=True, eq=False)
 class Seeking:
-    """Feet that need ground: `requests` int64[k], the number of the agent times L plus that of the leg; `columns`: hip, wanted
-    place and up of the body, (3, k), how far the foot joint may be from the hip (mm), and how high it is above its ground;
-    `way` (3, k): from the hip past the wanted place. `is_quick`: the foot lifts, and looks again when it lands."""
+    """Feet that need ground. `requests` int64[k]: agent number times L plus leg number. `columns`: hip, requested position and up
+    of the body, (3, k); greatest distance (mm) of the foot joint from the hip; its height above the ground. `way` (3, k): from
+    the hip to beyond the requested position. `is_quick`: the foot lifts, and searches again when it lands."""
 
     requests: Rows
     columns: Arrays
@@ -183,7 +186,7 @@ class Seeking:
 
     @staticmethod
     def of(requests: Rows, given: tuple[Any, ...], threads: int) -> Seeking:
-        """The feet of some requests; `given`: what `footholds.aim` takes next."""
+        """Return the feet of some requests. `given`: the next arguments of `footholds.aim`."""
         count = len(requests)
         room = np.empty((14, count))
         columns = room[:3], room[3:6], room[6:9], room[12], room[13]
@@ -193,13 +196,13 @@ class Seeking:
         return made
 
     def settle(self, found: Found, columns: Arrays, threads: int) -> None:
-        """Let feet have the ground that was found: `place`, `on`, `face` and `weight`, legs first."""
+        """Write the ground that was found to the feet: `place`, `on`, `face` and `weight`, legs first."""
         work = partial(footholds.settle, self.requests, self.columns, found.columns, *columns)
         parallel.in_parts(work, len(self.requests), threads, _RAYS)
 
 
 def seek(world: World, floor: Floor, seeking: Seeking) -> Found:
-    """Ground for feet. Quick ones have only what is on the straight line, wherever that is."""
+    """Return ground for feet. Quick ones only get what is on the straight line, at any distance from the target."""
     threads, count = world.options.threads, len(seeking.requests)
     found = floor.cast(world, seeking.columns[0], seeking.way)
     fits, rows = np.empty(count, np.bool_), np.empty(count, np.int64)
@@ -211,7 +214,7 @@ def seek(world: World, floor: Floor, seeking: Seeking) -> Found:
 
 
 def _look_around(world: World, floor: Floor, seeking: Seeking, found: Found, fits: NDArray[np.bool_], rows: Rows) -> None:
-    """Ground for feet whose straight line does not lead to the wanted place: from above it, then the nearest."""
+    """Find ground for feet that have no straight line to the requested position: from above it, then the nearest point."""
     threads, count = world.options.threads, len(rows)
     room = np.empty((13, count))
     above, to_above, down, hips, reach = room[:3], room[3:6], room[6:9], room[9:12], room[12]
@@ -236,13 +239,13 @@ def _meeting(box: tuple[Places, Places], origin: Places, way: Places) -> Rows:
 
 
 def _close(seen: RayScene, rows: Rows, origin: Places, way: Places) -> Rows:
-    """Those of some rays that a mesh may be near: by the ball about each one's middle."""
+    """Return the rays that may hit a mesh, by a test with the bounding sphere of each ray."""
     half = way * 0.5
     return _within(seen, rows, origin + half, _length(half))
 
 
 def _within(seen: RayScene, rows: Rows, points: Places, reach: NDArray[np.float64]) -> Rows:
-    """Those of some points that a mesh may be within `reach` of."""
+    """Return the points that may be within `reach` of a mesh."""
     return rows[seen.clearance(*points[:, rows]) <= reach[rows] * (1 + 1e-4) + 1e-4]
 
 

@@ -19,8 +19,8 @@ NOTHING, PLANE = -2, -1  # of `on`
 
 
 def by_leg(shape: Sequence[int], dtype: DTypeLike = np.float64) -> Array:
-    """Zeros [..., n, L] that lie in memory leg by leg: what is the same for all legs of an agent then goes along all agents at
-    once, where n is many and L few. NumPy keeps that order in what it makes from such."""
+    """Return zeros [..., n, L] stored leg by leg. Operations that are equal for all legs then run along all agents at once, where
+    n is large and L small. NumPy preserves that order in derived arrays."""
     return np.zeros((*shape[:-2], shape[-1], shape[-2]), dtype).swapaxes(-1, -2)
 
 
@@ -36,16 +36,16 @@ def _copied(name: str, array: Array) -> Array:
 
 @dataclass(slots=True, eq=False)
 class Feet:
-    """The feet of n agents with L legs; places are mm as the world counts them, components first.
+    """The feet of n agents with L legs. Positions are mm in world coordinates, components first.
 
-    `place` float64[3, n, L]: where each foot stands or is to land; `shown` float64[3, n, L]: where it is; `start` float64[3, n,
-    L]: where its swing began. `swing` float32[n, L]: the share of its swing that is done, -1 for a foot that stands. `on`
-    int16[n, L]: the number of the thing that `place` is on, -1 for the plane, -2 for nothing, whose foot hangs; `face` int32[n,
-    L] and `weight` float64[2, n, L]: the triangle, and the weights of its second and third corner. `found` float32[n, L]: how far
-    (body lengths) from where it rests a foot was put back: no nearer ground was found. `phase` float32[n]: of the gait, from 0 to
-    1; `rise` float32[n]: how much higher the trunk is than it rests, mm; `slope` float32[2, n]: how much higher the ground below
-    its feet gets a length ahead and aside. `position` float64[3, n], `heading` and `up` float32[3, n] are those that the last
-    frame ended with."""
+    `place` float64[3, n, L]: where each foot stands or is to land. `shown` float64[3, n, L]: its current position. `start`
+    float64[3, n, L]: where its swing began. `swing` float32[n, L]: the completed share of its swing, -1 for a standing foot. `on`
+    int16[n, L]: the number of the thing that `place` is on, -1 for the plane, -2 for nothing (the foot hangs). `face` int32[n, L]
+    and `weight` float64[2, n, L]: the triangle, and the weights of its second and third corner. `found` float32[n, L]: how far
+    (body lengths) from its rest position a foot was put back because no nearer ground was found. `phase` float32[n]: the gait
+    phase, from 0 to 1. `rise` float32[n]: height of the trunk above its rest height, mm. `slope` float32[2, n]: the increase in
+    ground height below its feet per length ahead and aside. `position` float64[3, n], `heading` and `up` float32[3, n]: those at
+    the end of the last frame."""
 
     ids: NDArray[np.int64]
     place: NDArray[np.float64]
@@ -69,7 +69,7 @@ class Feet:
 
     @staticmethod
     def none(legs: int) -> Feet:
-        """Of nobody yet."""
+        """Return the feet of an empty population."""
         three, flat = (3, 0, legs), (0, legs)
         return Feet(
             np.zeros(0, np.int64), np.zeros(three), np.zeros(three), np.zeros(three), np.zeros(flat, np.float32),
@@ -92,11 +92,11 @@ class Feet:
         return np.asarray(self.swing == STANDS)
 
     def arrays(self) -> dict[str, Array]:
-        """What is kept, by name: the arrays themselves."""
+        """Return the stored arrays themselves, by name."""
         return {name: getattr(self, name) for name in KEPT}
 
     def take(self, before: Feet) -> None:
-        """Take over the feet of all who had some before."""
+        """Copy the feet of all agents that had feet before."""
         at = np.minimum(np.searchsorted(before.ids, self.ids), max(len(before.ids) - 1, 0))
         known = before.ids[at] == self.ids if len(before.ids) else np.zeros(len(self.ids), np.bool_)
         for name, array in self.arrays().items():
@@ -104,7 +104,7 @@ class Feet:
             array[(*rows, known)] = getattr(before, name)[(*rows, at[known])]
 
     def matched(self, ids: NDArray[np.int64]) -> tuple[Feet, NDArray[np.intp]]:
-        """The feet of agents by ascending ids, zero for those who had none before; and the rows of these."""
+        """Return the feet of agents by ascending ids, zero for agents without earlier feet, and the rows of those agents."""
         if np.array_equal(ids, self.ids):
             return self, np.zeros(0, np.intp)
         at = np.minimum(np.searchsorted(self.ids, ids), max(len(self.ids) - 1, 0))
@@ -133,7 +133,7 @@ _BY_LEG = frozenset(("place", "shown", "start", "swing", "on", "face", "weight",
 
 
 def feet_hash(feet: Mapping[str, Feet], threads: int = 1) -> str:
-    """One number for the feet of all species, as `state_hash` is one for all else; empty where there are none."""
+    """Return a hash of the feet of all species, like `state_hash` for everything else. Empty if there are no feet."""
     if not feet:
         return ""
     digest = sha256()
@@ -147,7 +147,8 @@ def feet_hash(feet: Mapping[str, Feet], threads: int = 1) -> str:
 
 
 def from_arrays(arrays: Mapping[str, Array], legs: int, ids: NDArray[np.int64]) -> Feet:
-    """The feet that `Feet.arrays` gave these of. Raises ValueError where they are not such of agents with these ids."""
+    """Return the feet from arrays that `Feet.arrays` wrote. Raises ValueError if they do not describe the feet of agents with
+    these ids."""
     like = Feet.none(legs).arrays()
     found: dict[str, Any] = {}
     for name, empty in like.items():

@@ -1,12 +1,12 @@
-"""One step of all feet of a species, as kernels: `plan_steps` up to the ground that is sought, `take_steps` from there.
+"""One step of all feet of a species, as kernels: `plan_steps` up to the search for ground, `take_steps` after it.
 
-The phase of a gait advances by the ground that the feet covered, their turning included, over the stride. A foot lifts when its
-share of the cycle to stand is over, or its leg would be too short. It swings in an arc to where it will stand half of the stance
-ahead of its resting place, and stands from then on. An agent that does not move puts its feet back where they rest, in the order
-of the gait. Phases by ground covered, and stance and swing by duty, follow M. H. Raibert and J. K. Hodgins, Animation of Dynamic
-Legged Locomotion, SIGGRAPH 1991, and N. M. Thalmann et al.'s survey of walking; nothing here is a simulation of forces.
+The phase of a gait advances by the ground that the feet covered, turning included, divided by the stride. A foot lifts when its
+stance is over, or when its leg would be too short. It swings in an arc to a point half a stance ahead of its resting place, and
+stands from then on. An agent that does not move puts its feet back to their resting places, in the order of the gait. Phases by
+ground covered, and stance and swing by duty factor, follow M. H. Raibert and J. K. Hodgins, Animation of Dynamic Legged
+Locomotion, SIGGRAPH 1991, and N. M. Thalmann et al.'s survey of walking. Forces are not simulated.
 
-Arrays of legs are [..., L, n]. Lengths are those of bodies, float32, and places mm, float64."""
+Arrays of legs are [..., L, n]. Lengths are body lengths, float32; positions are mm, float64."""
 
 from __future__ import annotations
 
@@ -27,10 +27,10 @@ _SINK, _REACHED, _MOST_CYCLES = _F(SINK), _F(REACHED), _F(MOST_CYCLES)
 
 _SLOW = _F(0.02)  # cycles in a frame, below which feet are put back where they rest
 _LEFT = _F(1.25)  # times its reach: a foot so far from where it rests is lifted, whatever its share of the cycle
-_AGAIN = _F(0.45)  # of a leg: a landing place so far from the one that is wanted by now is sought again
+_AGAIN = _F(0.45)  # of a leg: at this distance from the position needed now, a landing position is searched again
 _STRETCHED = _F(0.99)  # of a leg: a foot so far from its hip is lifted
 _SMALL = _F(0.4)  # of a stride: shorter swings are lower
-_LATE = _F(0.6)  # of a swing, in which a foot whose turn was missed may still lift
+_LATE = _F(0.6)  # of a swing: until then, a foot that missed its turn may still lift
 _BEHIND = _F(0.3)  # of its reach: a foot that is so far behind has missed its turn
 _LOWEST = _F(0.1)  # of a leg: the least height of a hip above a foot that a straight line is drawn through
 _AT_ONCE = _F(1e-3)  # of a cycle, by which the phase goes past the turn of the foot that sets out
@@ -60,8 +60,10 @@ def measure_cover(
     begin: I64,
     end: I64,
 ) -> None:
-    """How far the resting place of each foot went over the ground, ahead and aside of bodies as they are now, into `covered`
-    [2, L, n]. `before`: place, heading and up of bodies at the end of the last frame; nothing is covered by `new` agents."""
+    """Measure how far the resting place of each foot moved over the ground, into `covered` [2, L, n]: ahead and aside of the
+    current body.
+
+    `before`: position, heading and up of bodies at the end of the last frame. Agents that are `new` cover nothing."""
     position, heading, up = before
     for i in independent(begin, end):
         place, ahead, _, aside, size = body_at(bodies, i)
@@ -97,9 +99,10 @@ def plan_steps(
 ) -> tuple[I64, I64]:
     """Decide which feet of agents from `begin` to before `end` lift and land, and where, and advance the phase.
 
-    `times`: the time of a frame, the cycles in it of an agent that puts its feet back, the least share of a swing in it, and the
-    reach of the shortest leg. `undermined`: feet whose ground was dug away. Into `requests`, from L times `begin` on: the feet
-    that need ground, the number of the agent times L plus that of the leg. Returns where they begin, and how many there are."""
+    `times`: the frame duration, the cycles per frame of an agent that puts its feet back, two limits. The limits are the least
+    share of a swing per frame and the reach of the shortest leg. `undermined`: feet that lost their ground to digging. Writes
+    into `requests`, from L times `begin` on, the feet that need ground: agent number times L plus leg number. Returns where they
+    begin, and their number."""
     count = legs.shape[1]
     dt, rests, swings, shortest = times
     place, start, _ = feet[0]
@@ -133,7 +136,7 @@ def plan_steps(
         if still and restless:
             ahead = max(ahead, rests)
         ahead = min(ahead, _MOST_CYCLES)
-        # An agent that sets out from a stand lifts the foot whose turn is next at once: none waits until it is left behind.
+        # An agent that starts from standing lifts the foot with the next turn at once: no foot waits until it is left behind.
         gap = _F(np.inf)
         for leg in range(count):
             before = _fraction(phase[i] + gaits[2][gait, leg])
@@ -207,10 +210,10 @@ def take_steps(
     begin: I64,
     end: I64,
 ) -> None:
-    """Swing feet to the ground that was found, move the trunks of agents over them, and place all feet.
+    """Swing feet to the ground that was found, move the trunks over them, and place all feet.
 
-    `trunk_steps`: how much of the way to a new tilt or lower height, and to a greater height, a trunk goes in a frame, and how
-    much higher or lower than at rest it may be. `last`: takes place, heading and up of bodies for the next frame."""
+    `trunk_steps`: the share of the change to a new tilt or lower height per frame, the share to a greater height, and the largest
+    difference from the height at rest. `last`: receives position, heading and up of bodies for the next frame."""
     count = legs.shape[1]
     slower, faster, highest = trunk_steps
     place, start, shown = feet[0]
@@ -262,21 +265,21 @@ def take_steps(
 
 @inlined
 def _fraction(turns: Any) -> Any:
-    """The share of a cycle that is done, after so many cycles."""
+    """Return the phase in the current cycle after a number of cycles."""
     return turns - np.floor(turns)
 
 
 @inlined
 def _hip(legs: Any, leg: Any, slope: Any, raised: Any) -> Any:
-    """Where a leg begins, of a trunk that leans and is raised."""
+    """Return where a leg begins, for a trunk that leans and is raised."""
     x, y, z = trunk.lean(slope, (legs[HIP, leg], legs[HIP + 1, leg], legs[HIP + 2, leg]))
     return x, y + raised, z
 
 
 @inlined
 def _off(legs: Any, leg: Any, here: Any, hip: Any) -> Any:
-    """How far a foot is from where it rests: on the ground perpendicular to that place, or on the straight line from the hip
-    through it, whichever is nearer."""
+    """Return how far a foot is from its resting place: the lesser of its distance along the ground and its distance from the
+    straight line from the hip through that place."""
     rest_x, rest_z = legs[REST_X, leg], legs[REST_Z, leg]
     x, z = here[0] - rest_x, here[2] - rest_z
     by = hip[1] / max(hip[1] - here[1], _LOWEST * legs[LENGTH, leg])
@@ -286,7 +289,7 @@ def _off(legs: Any, leg: Any, here: Any, hip: Any) -> Any:
 
 @inlined
 def _is_too_far(legs: Any, leg: Any, here: Any, hip: Any, most: Any) -> Any:
-    """Whether a foot is farther from its hip than `most` of its leg, the trunk as low as it may be."""
+    """Return whether a foot is farther from its hip than `most` of its leg length, with the trunk as low as allowed."""
     length = legs[LENGTH, leg]
     x, z = here[0] - hip[0], here[2] - hip[2]
     y = here[1] - hip[1] + legs[FOOT_Y, leg]
@@ -297,7 +300,7 @@ def _is_too_far(legs: Any, leg: Any, here: Any, hip: Any, most: Any) -> Any:
 
 @inlined
 def _swung(legs: Any, leg: Any, ends: Any, done: Any, stride: Any, lift: Any) -> Any:
-    """Where a foot is on its arc, no farther from its hip than its leg reaches."""
+    """Return the position of a foot on its arc, no farther from its hip than its leg reaches."""
     before, here, hip = ends
     eased = done * done * (_THREE - _TWO * done)
     dx, dy, dz = here[0] - before[0], here[1] - before[1], here[2] - before[2]

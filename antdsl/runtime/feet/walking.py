@@ -31,7 +31,7 @@ class Walkers:
 
 
 def begin(world: World) -> None:
-    """Let all agents whose bodies have legs stand on their feet, if feet are simulated."""
+    """Let all agents with legs stand on their feet, if feet are simulated."""
     world.feet, world.walkers, world.floor = {}, {}, None
     if not world.options.feet:
         return
@@ -44,7 +44,7 @@ def begin(world: World) -> None:
 
 
 def measure(world: World) -> None:
-    """Record what the resting place of each foot covered in this step, before the ground itself moves on."""
+    """Record the ground that the resting place of each foot covered in this step, before the ground itself moves on."""
     for name, feet in world.feet.items():
         population, walkers = world.populations[name], world.walkers[name]
         feet, new = feet.matched(population.sorted_ids()[0])
@@ -61,7 +61,7 @@ def measure(world: World) -> None:
 
 
 def walk(world: World) -> None:
-    """Bring all feet to where they are in the frame that is made."""
+    """Move all feet to their positions in the new frame."""
     for name in world.feet:
         _Step(world, world.populations[name], world.walkers[name]).run()
 
@@ -111,7 +111,7 @@ class _Step:
         feet.covered = feet.stood = None
 
     def _follow_ground(self) -> None:
-        """Move feet with the ground that they are on, and the beginnings of swings as the bodies were moved."""
+        """Move feet with the ground that they are on, and the start points of swings with the bodies."""
         feet = self.feet
         if self.floor.moving:
             self.floor.carried(self.world, feet.on, feet.face, feet.weight, feet.place)
@@ -120,7 +120,7 @@ class _Step:
                 feet.start += np.where(np.isfinite(way), way, 0.0)[:, :, None]
 
     def _stand(self) -> None:
-        """Let newborn agents stand where their feet rest, each at a phase of its own."""
+        """Let newborn agents stand with their feet at rest, each at a different phase."""
         rows, feet, legs = self.new, self.feet, self.gaits.legs
         if not rows.size:
             return
@@ -134,7 +134,7 @@ class _Step:
         feet.start[:, rows] = feet.place[:, rows]
 
     def _find_undermined(self) -> None:
-        """Find the feet whose ground was dug away."""
+        """Find the feet that lost their ground to digging."""
         feet = self.feet
         self.undermined[:] = False
         for k, name in enumerate(self.floor.names):
@@ -156,7 +156,7 @@ class _Step:
         self._seek(parallel.joined(parts, self.requests)[0])
 
     def _seek(self, requests: NDArray[np.int64]) -> None:
-        """Find ground for feet: the number of the agent times L plus that of the leg."""
+        """Find ground for feet. A request is the number of the agent times L plus that of the leg."""
         if requests.size:
             feet, gaits, targets = self.feet, self.gaits, self.targets
             given = (self.bodies, self.covered, (gaits.legs, gaits.exact), self.columns[2], targets[:3], targets[-1])

@@ -1,13 +1,13 @@
 """A substep of a crowd, from pushes to positions: acceleration, limits of speed and turn, obstacles, the walk, headings and
 bodies.
 
-a = push * max_force / mass; v += a dt; P += v dt (T20 of the sources, explicit Euler as there). An animal whose response is a
-step or less takes its whole change of velocity at once, and faces where it goes. The heading of others follows within a tenth of
-a second. An agent with a direction to face turns there instead, and walks backward and sideways where its velocity leads.
+a = push * max_force / mass; v += a dt; P += v dt (T20 of the sources, explicit Euler as there). An animal with a response of at
+most a step takes its whole change of velocity at once and faces its direction of motion. The heading of others follows within a
+tenth of a second. An agent with a direction to face turns there instead, and walks backward and sideways along its velocity.
 
-One loop over all agents does all that does not depend on obstacles or walls. Another walks all agents that stay on their own
-surface and lets them arrive (`strides`). Few may touch an obstacle, look out for walls, lean or have a wall ahead: they have
-separate loops."""
+One loop over all agents does everything that does not depend on obstacles or walls. Another walks all agents that stay on their
+own surface and updates their arrival (`strides`). Few agents may touch an obstacle, search for walls, lean or have a wall ahead:
+they have separate loops."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ from antdsl.runtime.world import Population, World
 LEAST = "min_speed"  # a register of those species alone that ask for it
 _F = np.float32
 _ON_FACES = itemgetter("mesh", "face", "b1", "b2", "over")  # columns of footings, as kernels read them
-_ARRIVING = 64  # agents who are let arrive by themselves, for whom a thread pays
+_ARRIVING = 64  # agents with separate arrival from which a thread pays off
 
 
 def move(world: World, population: Population, substep: int) -> None:
@@ -88,9 +88,9 @@ def move(world: World, population: Population, substep: int) -> None:
 
 @dataclass(slots=True)
 class _Crowd:
-    """A crowd on its way for `dt` of `whole` seconds: its registers position, velocity, heading and up, and what kernels work
-    out, see `strides`. `kept` is room for the up and heading from before of those whose bodies have to follow their feet
-    afterwards, as those of `everyone` may have."""
+    """A crowd on its way for `dt` of `whole` seconds: its registers position, velocity, heading and up, and the results of
+    kernels, see `strides`. `kept`: buffers for the previous up and heading of agents that must follow their feet afterwards. With
+    `everyone`, all agents are such."""
 
     world: World
     population: Population
@@ -125,7 +125,7 @@ class _Crowd:
         return self.world.options.threads
 
     def set_out(self, substep: int) -> None:
-        """What all are about to do, whatever is in their way."""
+        """Compute the intended motion of all agents, without obstacles."""
         p, now, whole = self.population, self.population.now, self.whole
         drive = Drive(vec.named(now, "push"), *self.registers[1:], p.normal)
         abilities = Abilities(now["max_speed"], now["max_force"], now["mass"], now["response"], now["max_turn"])
@@ -147,7 +147,7 @@ class _Crowd:
             self.longest = float(self.long.max(initial=0.0, where=np.isfinite(self.long)))
 
     def pass_obstacles(self) -> None:
-        """Steps along the obstacles in their way, and velocities of those who would have gone otherwise."""
+        """Bend steps along obstacles in the way, and update the velocities of the agents with bent steps."""
         world, p = self.world, self.population
         if not world.plan.of_kind("obstacle"):
             return
@@ -159,7 +159,7 @@ class _Crowd:
             self.step = step
 
     def walk(self, ground: Ground) -> None:
-        """Walk over a ground to new places, and arrive there."""
+        """Walk over a ground to new positions, and update the agents there."""
         now = self.population.now
         limits = Limits(now["max_speed"], now["max_turn"], now["response"])
         times = Times(self.whole * AT_ONCE, self.dt, share(self.dt))
@@ -180,7 +180,7 @@ class _Crowd:
         p.footing, p.position, p.normal = Footing.on_plane(place), place, arrival.normals
 
     def _over_meshes(self, ground: MeshGround, arrival: Arrival) -> bool:
-        """False where triangles are not what is walked over."""
+        """Walk over the triangles of the ground. Returns False if it is not made of triangles."""
         p, n = self.population, len(self.population)
         walk = ground.crowd_walk(self.longest, self.widest)
         if walk is None:
@@ -209,8 +209,8 @@ class _Crowd:
         place: NDArray[np.float64],
         how: NDArray[np.uint8],
     ) -> None:
-        """Move those who have come to something else than the next face of their surface, and those who are nowhere or whose
-        numbers are none, and let them arrive."""
+        """Move agents that come to something other than the next face of their surface, and those without a footing or with NaN
+        values. Then update their arrival."""
         p, n = self.population, len(self.population)
         above, ahead, direction = p.room("walked", 3, (3, n), np.float64)
         (gone,), (blocked,) = p.room("gone", 1, (n,), np.float64), p.room("blocked", 1, (n,), np.bool_)
@@ -248,8 +248,8 @@ class _Crowd:
 
 
 def no_slower(world: World, population: Population, step: Vector, up: Columns, dt: np.float32) -> Vector:
-    """Steps (mm) that obstacles have bent: of those who have to keep moving as long as the least speed asks for along the same
-    way, if that is free."""
+    """Return steps (mm) that obstacles have bent. For agents that must keep moving, they have the least length in the same
+    direction, if that is free."""
     now = population.now
     if LEAST not in now or not world.plan.of_kind("obstacle"):
         return step

@@ -1,4 +1,4 @@
-"""Capsules of bodies, and how near any two are to each other."""
+"""Capsules of bodies, and the distance of any two from each other."""
 
 from __future__ import annotations
 
@@ -29,15 +29,15 @@ _ABOUT = 1.5  # widths that two are apart, up to which they may yet meet
 _OPPOSITE = -0.5  # cosine between two ways of standing, below which agents are on two sides of something
 _NOWHERE = 1e-6  # of a width: so near each other, two axes give no direction
 _ZERO = np.float32(0)
-_TOGETHER = 64  # agents of whom bounds are found side by side
+_TOGETHER = 64  # agents with bounds computed in SIMD lanes
 _NOTHING = np.repeat([np.inf, -np.inf, 0.0], [4 * _TOGETHER, 4 * _TOGETHER, _TOGETHER]).reshape(9, _TOGETHER)
-_FETCHED = 32  # pairs whose rows are brought near before these are measured
-_KEPT, _LOST = 1, 2  # what is known of a pair: that it may meet, and that it has no way of its own
+_FETCHED = 32  # pairs of which the rows are prefetched before they are measured
+_KEPT, _LOST = 1, 2  # flags of a pair: it may touch; it has no separation axis
 _BESIDE, _INSIDE = 1, 2  # what is known of a row: that it is near one that is in another, and that it is
 
 
 class Bodies(NamedTuple):
-    """Capsules of some rows: middle, ahead and up (3, k), half their length, and radius."""
+    """Capsules of some rows: middle, ahead and up (3, k), half length and radius."""
 
     middle: Strided2[F64]
     ahead: Strided2[F64]
@@ -47,7 +47,7 @@ class Bodies(NamedTuple):
 
 
 class Crowded(NamedTuple):
-    """Capsules of all agents, with vectors as registers have them."""
+    """Capsules of all agents, with vectors in the layout of registers."""
 
     middle: Array2[F64]
     ahead: VectorColumns
@@ -57,7 +57,8 @@ class Crowded(NamedTuple):
 
 
 class Shape(NamedTuple):
-    """A species' capsule, in body lengths: length, width and height of its axis, and how far ahead of the feet its middle is."""
+    """A species' capsule, in body lengths: length, width and height of its axis, and the distance of its middle ahead of the
+    feet."""
 
     length: F64
     width: F64
@@ -66,7 +67,7 @@ class Shape(NamedTuple):
 
 
 class Trunks(NamedTuple):
-    """Capsules of all agents, as `capsules.Crowd`; `shift` is how far ahead of the feet their middles are (mm)."""
+    """Capsules of all agents, as `capsules.Crowd`. `shift`: the distance of their middles ahead of the feet (mm)."""
 
     half: Array1[F64]
     radius: Array1[F64]
@@ -76,14 +77,14 @@ class Trunks(NamedTuple):
 
 
 class Bounds(NamedTuple):
-    """The least x, y and z of middles and reach, and the greatest; NaN where one is not finite."""
+    """The least and the greatest x, y and z of middles, and the reach; NaN if one is not finite."""
 
     least: tuple[F64, F64, F64, F64]
     greatest: tuple[F64, F64, F64, F64]
 
 
 class Meetings(NamedTuple):
-    """How many pairs may meet, how many rows they have and how many no direction of their own, and the widest radius."""
+    """The number of pairs that may touch, of their rows, and of pairs without a direction; and the largest radius."""
 
     pairs: I64
     rows: I64
@@ -93,12 +94,12 @@ class Meetings(NamedTuple):
 
 @inlined
 def _single(vectors: VectorColumns, i: I64) -> Vec3:
-    """One of vectors that are three arrays of float32."""
+    """Return element i of vectors stored as three float32 arrays."""
     return np.float64(vectors[0][i]), np.float64(vectors[1][i]), np.float64(vectors[2][i])
 
 
 def nothing_seen() -> NDArray[np.float64]:
-    """Bounds of nothing, for `trunks`: above all, below all, and how many numbers are not finite."""
+    """Return empty bounds for `trunks`: above all, below all, and the number of values that are not finite."""
     return _NOTHING.copy()
 
 
@@ -113,8 +114,8 @@ def trunks(
     to: Trunks,
     seen: Array2[F64],
 ) -> Bounds:
-    """The capsules of a species whose places are (3, n), from `first` on among all. Gives the bounds of these and the species
-    before: what is `seen` (9, 64) of every 64th agent, as `nothing_seen` at first."""
+    """Compute the capsules of a species with positions (3, n), stored from `first` on. Returns the bounds of these and earlier
+    species. `seen` (9, 64): partial bounds, one column for every 64th agent; `nothing_seen` at first."""
     length, width, height, ahead = shape
     half, radius, shift, reach, middle = to
     for begin in range(0, size.size, _TOGETHER):
@@ -144,8 +145,10 @@ def trunks(
 
 @called
 def _gap(away: Vec3, a: Vec3, b: Vec3, one: Vec3, other: Vec3, reach: F64, length: F64, wide: F64) -> tuple[F64, Vec3, BOOL]:
-    """Gap and way to part of one pair, and whether both stand in one place, and so have none. The nearest points of two segments
-    by C. Ericson, Real-Time Collision Detection, 2005, 5.1.9. Where axes cross, the way is from middle to middle."""
+    """Return gap and separation axis of a pair, and whether both are at one position and thus have no axis.
+
+    The nearest points of two segments follow C. Ericson, Real-Time Collision Detection, 2005, 5.1.9. If the capsule axes cross,
+    the separation axis goes from middle to middle."""
     between = plus(one, other)
     factor = 0.0 if dot(one, other) < _OPPOSITE else 1 / np.sqrt(max(dot(between, between), 1e-12))
     between = times(between, factor)
@@ -184,7 +187,7 @@ def measured_some(
     count: I64,
     lost: Array1[I64],
 ) -> I64:
-    """As `measured`, of those pairs that are the first of `some`."""
+    """As `measured`, for the first `count` pairs in `some`."""
     middle, ahead, up, half, radius = bodies
     for n in independent(0, count):
         pair = some[n]
@@ -212,8 +215,8 @@ def measured(
     some: Array1[I64],
     lost: Array1[I64],
 ) -> I64:
-    """As `capsules.Near.measure`, into `gap` and `way`; gives how many pairs have no way of their own, which are the first of
-    `lost`. `some` is room for work."""
+    """As `capsules.Near.measure`, into `gap` and `way`. Returns the number of pairs without a separation axis, listed first in
+    `lost`. `some` is a work buffer."""
     for pair in independent(0, i.size):
         some[pair] = 1 if changed[i[pair]] | changed[j[pair]] else 0
     return measured_some(bodies, gone, i, j, gap, way, some, listed(some, i.size), lost)
@@ -230,8 +233,8 @@ def before(
     deep: Array1[F64],
     lost: Array1[I64],
 ) -> I64:
-    """As `capsules.Near.before`, into `gap`, `way` and `deep`; gives how many pairs have no way of their own, which are the first
-    of `lost`."""
+    """As `capsules.Near.before`, into `gap`, `way` and `deep`. Returns the number of pairs without a separation axis, listed
+    first in `lost`."""
     middle, ahead, up, half, radius = bodies
     for some in range(0, i.size, _FETCHED):
         for pair in range(min(some + _FETCHED, i.size), min(some + 2 * _FETCHED, i.size)):
@@ -271,9 +274,9 @@ def met(
     every: BOOL,
     dead: F64,
 ) -> Meetings:
-    """Which of pairs `i` and `j` may meet, as `capsules.find`. They come first in `i`, `j`, `gap` and `way`, these in `known`;
-    `number` is room for work. `every`: also those of whom nobody is deeper in another than the share `dead` of the room of
-    two."""
+    """Select the pairs `i` and `j` that may touch, as `capsules.find` does. They are moved to the front of `i`, `j`, `gap` and
+    `way`; `known` gets the indices of those without a separation axis. `number` is a work buffer. `every`: include pairs in which
+    neither overlaps another by more than `dead` times the two collision radii."""
     middle, ahead, up, half, radius = crowd
     for some in range(0, i.size, _FETCHED):
         for pair in range(min(some + _FETCHED, i.size), min(some + 2 * _FETCHED, i.size)):

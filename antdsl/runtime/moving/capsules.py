@@ -1,8 +1,7 @@
-"""Bodies as capsules: where the trunks of all agents are, and how near any two are to each other.
+"""Bodies as capsules: where the trunks of all agents are, and the distance of any two.
 
-A capsule is a segment along the heading with a radius about it, at the height of the trunk over the feet. Two are measured in the
-plane between the ways that both stand, and across it, so that neither a slope nor bodies above each other count as an overlap.
-"""
+A capsule is a segment along the heading with a radius, at the height of the trunk above the feet. Two capsules are measured in
+the plane between their up directions, and across it. So neither a slope nor bodies above each other count as an overlap."""
 
 from __future__ import annotations
 
@@ -41,8 +40,8 @@ _SPECIES = 1 << 40  # more than there are ids of a species
 
 
 def capsule_of(world: World, species: str) -> Capsule:
-    """The room that a body of a species takes: of its own file, else of the first line of the crowd that names one, else of what
-    suits its name."""
+    """Return the capsule of a species' body: from its own file, else from the first crowd line that names a body, else from its
+    name."""
     own = world.setting.rooms.get(species)
     if own is not None:
         return Capsule(own.length, own.width, own.height, own.ahead)
@@ -53,8 +52,8 @@ def capsule_of(world: World, species: str) -> Capsule:
 
 
 class Crowd:
-    """All agents of a world, species by species, whose properties are read as one array each when they are asked for: as they are
-    now, or as they were at the `start` of the step."""
+    """All agents of a world, species by species. Each property is read on access as one array: the current values, or those at
+    the `start` of the step."""
 
     def __init__(self, world: World, start: bool = False) -> None:
         self.world, self._start = world, start
@@ -66,7 +65,7 @@ class Crowd:
         self.bounds = self._measure()  # of x, y and z of middles and of reaches
 
     def _measure(self) -> Bounds:
-        """Measure the capsules of each species; gives the bounds of all."""
+        """Measure the capsules of each species; return the bounds of all."""
         self.half, self.radius, self.ahead, self.reach = np.empty((4, len(self)))
         self.middle = np.empty((3, len(self)))
         seen, bounds = nothing_seen(), ()
@@ -83,12 +82,12 @@ class Crowd:
         return int(self.first[-1])
 
     def of(self, read: Callable[[Population], NDArray[Any]], axis: int = 0) -> NDArray[Any]:
-        """What is read of each species, one after another along an axis."""
+        """Return what `read` returns for each species, concatenated along an axis."""
         arrays = [read(population) for population in self.species]
         return arrays[0] if len(arrays) == 1 else np.concatenate(arrays, axis=axis)
 
     def parts(self, rows: Rows) -> Iterator[tuple[Population, Rows]]:
-        """Each species with its own of some rows of the crowd, ascending, counted from its first agent."""
+        """Yield each species with its part of some ascending rows of the crowd, counted from the first agent of the species."""
         if len(self.species) == 1:
             yield self.species[0], rows
             return
@@ -107,11 +106,10 @@ class Crowd:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Near:
-    """Pairs of capsules that are near each other. `rows` of the crowd that are in any, ascending; `i` and `j` count these, and
-    the first of a pair comes first by species and id. Of each row, as it stood when they were found: `middle`, `ahead` and `up`
-    (3, k), `half` and `radius` (k), mm; `widest` is the largest radius of all that are near another. Of each pair, as it was last
-    measured: `gap` (m) mm, how far it is from touching, below 0 inside each other, and `way` (3, m), unit vectors from the second
-    to the first, the shortest way to part."""
+    """Pairs of capsules that are near each other. `rows` of the crowd that are in any pair, ascending. `i` and `j` index these;
+    the first of a pair comes first by species and id. For each row, when the pairs were found: `middle`, `ahead` and `up` (3, k),
+    `half` and `radius` (k), mm; `widest`: the largest radius of these. For each pair, as last measured: `gap` (m) mm, the
+    distance to contact, negative for overlaps. `way` (3, m): the separation axes, unit vectors from the second to the first."""
 
     crowd: Crowd
     rows: Rows
@@ -132,8 +130,8 @@ class Near:
         return Bodies(self.middle, self.ahead, self.up, self.half, self.radius)
 
     def before(self, walked: Floats) -> tuple[Floats, Floats, Floats]:
-        """Gaps and ways of all pairs before rows `walked` (3, k) mm, as these face now, and how deep (k) mm each was in the worst
-        of the others."""
+        """Return gaps and separation axes of all pairs before rows `walked` (3, k) mm, with current headings, and the greatest
+        overlap (k) mm of each row."""
         pairs, rows = len(self.i), len(self.rows)
         gap, way, deep, lost = np.empty(pairs), np.empty((3, pairs)), np.empty(rows), np.empty(pairs, np.intp)
         count = before(self.bodies, walked, self.i, self.j, gap, way, deep, lost)
@@ -141,13 +139,13 @@ class Near:
         return gap, way, deep
 
     def measure(self, gone: Floats, changed: Flags) -> None:
-        """Measure anew the pairs of which a row has `changed` (k), once rows have gone by (3, k) mm."""
+        """Measure again the pairs of which a row has `changed` (k), after rows moved by (3, k) mm."""
         some, lost = np.empty((2, len(self.i)), np.intp)
         count = measured(self.bodies, gone, self.i, self.j, changed, self.gap, self.way, some, lost)
         self.draw(self.way, lost[:count])
 
     def draw(self, way: Floats, which: Rows) -> None:
-        """Draw the ways to part (3, m) of some pairs, which are in one place: along the ground of the first, by the seed and both
+        """Draw the separation axes (3, m) of pairs at one position: along the ground of the first agent, by the seed and both
         ids."""
         if not len(which):
             return
@@ -167,8 +165,8 @@ class Near:
 
 
 def find(crowd: Crowd, dead: float | None = None) -> Near:
-    """The pairs of a crowd that may meet; with `dead` only those of which one is deeper in any other than that share of the room
-    of two."""
+    """Return the pairs of a crowd that may touch. With `dead`, only pairs with a row that overlaps another by more than this
+    share of both radii."""
     x, y, z = crowd.middle
     pairs = within_reach((x, y, z), crowd.reach, crowd.key, crowd.bounds)
     i, j, m = *parallel.plain(pairs.i, pairs.j), len(pairs.i)
@@ -186,8 +184,8 @@ def find(crowd: Crowd, dead: float | None = None) -> Near:
 
 
 def depths(world: World) -> Floats:
-    """How deep each agent of a crowd (float64[n], species by species) is in the worst of the others, in widths of its own trunk;
-    0 apart."""
+    """Return each agent's greatest penetration depth, in widths of its trunk; 0 apart. The result is float64[n], species by
+    species."""
     crowd = Crowd(world)
     near = find(crowd)
     deep = np.zeros(len(crowd))
@@ -196,7 +194,7 @@ def depths(world: World) -> Floats:
 
 
 def deepest(count: int, i: Rows, j: Rows, gap: Floats) -> Floats:
-    """How deep (mm) each of so many rows is in the worst of the others, by the gaps of pairs; 0 apart."""
+    """Return the greatest overlap (mm) of each of `count` rows, by the gaps of pairs; 0 without overlap."""
     deep, inside = np.zeros(count), np.flatnonzero(gap < 0)
     for k in (i.take(inside), j.take(inside)):
         np.maximum.at(deep, k, -gap.take(inside))

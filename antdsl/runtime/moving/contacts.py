@@ -1,14 +1,13 @@
-"""Bodies take room: what stands in another after everybody has walked is moved apart, along the surface, all species at once.
+"""Contacts: bodies that overlap after all agents have walked are separated along the surface, all species at once.
 
-Position-based contacts (M. Müller et al., Position Based Dynamics, VRIPHYS 2006, 3.3) in Jacobi sweeps, of which each agent
-takes the mean of its contacts (M. Macklin et al., Unified Particle Physics for Real-Time Applications, SIGGRAPH 2014, 4.2). A
-sweep adds over pairs exactly, so that no order counts. Two part in shares by their masses.
+Position-based contacts (M. Müller et al., Position Based Dynamics, VRIPHYS 2006, 3.3) in Jacobi sweeps. Each agent takes the mean
+of its contacts (M. Macklin et al., Unified Particle Physics for Real-Time Applications, SIGGRAPH 2014, 4.2). A sweep adds over
+pairs exactly, so the result does not depend on their order. Two bodies separate in shares by their masses.
 
-Nobody is farther from where it stood than it may walk in that time: a step into another is cut and slides along it, and what
-stood in each other already parts as fast as it can walk. What is left is measured (`motion_measures`). The surface and
-obstacles have the last word. What of its velocity leads into another is taken from an agent, but being pushed gives it none: who
-rests would glide on for ever.
-"""
+No agent moves farther from its position at the start of the step than it may walk in that time. A step into another agent is cut
+and slides along it. Agents that already overlapped separate as fast as they can walk. The remaining overlap is measured
+(`motion_measures`). The surface and obstacles have the last word. An agent loses the part of its velocity that leads into
+another. Being pushed gives it none, or resting agents would glide on for ever."""
 
 from __future__ import annotations
 
@@ -38,8 +37,8 @@ _SOFT = 0.1  # s, in which two part by the most of their overlap
 
 @dataclass(frozen=True, slots=True)
 class Effort:
-    """How much is done about overlaps in a substep: `looks` measure pairs anew, each with so many `sweeps`; further `rounds`
-    are for those whom the ground led elsewhere, or something held."""
+    """How much is done about overlaps in a substep. `looks`: how often pairs are measured again, each time with `sweeps` sweeps.
+    `rounds`: the number of rounds; those after the first are for agents that the ground deflected or something held."""
 
     looks: int
     sweeps: int
@@ -47,7 +46,7 @@ class Effort:
 
     @property
     def once(self) -> bool:
-        """Whether nobody is moved but who is in another as pairs are found."""
+        """Return whether only agents that overlap when the pairs are found are moved."""
         return self.looks == self.sweeps == self.rounds == 1
 
 
@@ -56,14 +55,14 @@ EFFORTS: Mapping[str, Effort] = {"soft": Effort(1, 1, 1), "hard": Effort(12, 4, 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Stood:
-    """How agents stood when a substep began, by species: places (n, 3) mm and, where contacts are hard, headings."""
+    """Positions (n, 3) mm of agents at the start of a substep, by species; with hard contacts also their headings."""
 
     places: Mapping[str, Floats]
     headings: Mapping[str, Vector]
 
 
 def stood(world: World) -> Stood | None:
-    """How agents stand now, for `resolve`; None where bodies take no room."""
+    """Return the current positions and headings of agents, for `resolve`; None if bodies take no room."""
     if world.setting.contacts == "off":
         return None
     species, headings = world.populations.items(), {}
@@ -73,7 +72,7 @@ def stood(world: World) -> Stood | None:
 
 
 def resolve(world: World, began: Stood, dt: float) -> None:
-    """Move apart who stands in another, after a substep that `began` so and took `dt` s."""
+    """Move overlapping agents apart, after a substep of `dt` s that started at `began`."""
     if len(world) < 2:
         return
     effort, crowd = EFFORTS[world.setting.contacts], Crowd(world)
@@ -113,7 +112,7 @@ def resolve(world: World, began: Stood, dt: float) -> None:
 
 
 def _came(crowd: Crowd, rows: Rows, dt: float) -> Floats:
-    """The way (3, k) mm that rows of a crowd came in a time as long as this substep before it."""
+    """Return the displacement (3, k) mm of rows of a crowd in the same time before this substep, by their velocity then."""
     first, way = 0, np.empty((3, len(rows)))
     for population, own in crowd.parts(rows):
         came(own, first, vec.named(population.start, "velocity"), dt, way)
@@ -122,9 +121,9 @@ def _came(crowd: Crowd, rows: Rows, dt: float) -> Floats:
 
 
 def _note_pushes(crowd: Crowd, rows: Rows, cut: Floats, some: Rows, asked: Floats, got: Floats) -> None:
-    """Add to how far rows of a crowd, ascending, which are `some` of those in pairs, were pushed in this step, where their
-    program asks. Of what they were `asked` to go, (3, k) mm, only what others pushed counts, not what their own step was `cut`
-    by; and of that what they `got`."""
+    """Add to the pushed distance of some rows of a crowd in this step, for species with a program that reads it. `rows` are
+    ascending; `some` are their indices among those in pairs. Of the requested displacement `asked`, (3, k) mm, only what others
+    pushed counts, not what their own step was `cut` by. Of that, only the achieved part (`got`) counts."""
     if not any(PUSHED in population.now for population in crowd.species):
         return
     pushed = asked - cut.take(some, axis=1)
@@ -139,9 +138,10 @@ def _note_pushes(crowd: Crowd, rows: Rows, cut: Floats, some: Rows, asked: Float
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Agents:
-    """What counts of the rows of pairs in a substep: where they `start`, (3, k) mm; how far they may walk, `reach` (k) mm; their
-    `mass`; the share of that to which the others about them can push them, `yields`; the normals (3, k) of the ground under their
-    feet; and who is `frozen` by a fault."""
+    """What a substep needs of the rows in pairs.
+
+    `start` (3, k) mm: their start; `reach` (k) mm: how far they may walk; `mass`; `yields`: the share of `mass` against which
+    neighbours can push them; the normals (3, k) of the ground below their feet; `frozen`: stopped by a fault."""
 
     start: Floats
     reach: Floats
@@ -152,7 +152,7 @@ class _Agents:
 
     @staticmethod
     def of(crowd: Crowd, near: Near, began: Stood, dt: float) -> tuple[_Agents, Floats]:
-        """These, and by how much (3, k) mm agents are now from where they started."""
+        """Return these values, and the displacement (3, k) mm of agents from their start."""
         rows = near.rows
         vectors, (reach, mass), first = np.empty((3, 3, len(rows))), np.empty((2, len(rows))), 0
         for p, own in crowd.parts(rows):
@@ -181,9 +181,10 @@ def _apart(
     cut: Floats,
     work: tuple[Any, ...],
 ) -> Floats:
-    """By what (3, k) mm rows are to be moved for some of the pairs (m), as measured after steps were `cut` by (3, k) mm; who is
-    `held` is not moved farther. Rows have `walked` (3, k) mm and were so `deep` (k) mm in others before. `work`: memory for
-    kernels."""
+    """Return the displacements (3, k) mm of rows that separate some of the pairs (m).
+
+    Pairs are measured after steps were `cut` by (3, k) mm. Rows that are `held` are not moved farther. Rows have `walked` (3, k)
+    mm; `deep` (k) mm: their overlap before. `work`: buffers for kernels."""
     magic = np.ldexp(1.5, int(np.frexp(near.widest)[1]) + 1 - FINE + 52)
     which, gone = which.copy(), cut.copy()
     looks, lost = effort.looks, np.empty(len(near.i), np.intp)
@@ -197,7 +198,8 @@ def _apart(
 
 
 def _face_as_before(crowd: Crowd, near: Near, stopped: Rows, facing: Mapping[str, Vector]) -> None:
-    """Let some of the rows of `near` face as before the substep: who cannot go cannot turn either, between others."""
+    """Reset the headings of some rows of `near` to those before the substep: between others, an agent that cannot walk cannot
+    turn either."""
     rows, last = near.rows.take(stopped), 0
     for population, own in crowd.parts(rows):
         first, last = last, last + len(own)

@@ -1,4 +1,4 @@
-"""Walks that contacts ask for: agents are led over their ground, along obstacles, no farther than they may walk in that time."""
+"""Walks that contacts request: agents move over their ground, along obstacles, no farther than they may walk in that time."""
 
 from __future__ import annotations
 
@@ -32,13 +32,13 @@ _ZERO, _ONE, _TINY, _LIGHTEST = np.float32(0), np.float32(1), np.float32(1e-12),
 
 
 class Corrections:
-    """Walks of agents of a crowd in one substep, which took `dt` s and `began` with species at places (n, 3) mm."""
+    """Walks of agents of a crowd in one substep of `dt` s. `began`: start positions (n, 3) mm of each species."""
 
     def __init__(self, crowd: Crowd, began: Mapping[str, Floats], dt: float) -> None:
         self._crowd, self._began, self._dt = crowd, began, dt
 
     def walk(self, rows: Rows, gone: Floats) -> Floats:
-        """Walk rows of the crowd, ascending, by (3, k) mm each; gives by what they have come on."""
+        """Walk ascending rows of the crowd by (3, k) mm each; return the displacements reached."""
         got: list[Floats] = []
         for population, own in self._crowd.parts(rows):
             first = sum(each.shape[1] for each in got)
@@ -46,8 +46,8 @@ class Corrections:
         return got[0] if len(got) == 1 else np.concatenate(got, axis=1)
 
     def _walk(self, population: Population, rows: Rows, gone: Floats) -> Floats:
-        """Walk some agents by (3, k) mm over their ground, along obstacles; their velocity loses what led against that. Gives by
-        what they have come on."""
+        """Walk some agents by (3, k) mm over their ground, along obstacles. Their velocity loses its part against that direction.
+        Returns the displacements reached."""
         if not len(rows):
             return np.empty_like(gone)
         world, threads = self._crowd.world, self._crowd.world.options.threads
@@ -65,8 +65,8 @@ class Corrections:
         return got
 
     def _asked(self, population: Population, rows: Rows, gone: Floats) -> tuple[Vector, Columns, Floats, Floats, Floats]:
-        """What a walk by (3, k) mm is told of some agents: the way and the normal of the ground, float32, the same normal and
-        headings, float64 (k, 3), and sizes (mm)."""
+        """Return the inputs of a walk by (3, k) mm for some agents: step and ground normal, float32; the same normal and
+        headings, float64 (k, 3); sizes (mm)."""
         now = population.now
         step, feet = np.empty((2, 3, len(rows)), np.float32)
         up, heading, size = *np.empty((2, 3, len(rows))), np.empty(len(rows))
@@ -74,8 +74,8 @@ class Corrections:
         return (step[0], step[1], step[2]), feet, up.T, heading.T, size
 
     def _allowed(self, population: Population, rows: Rows, moved: Move, size: Floats) -> Rows | None:
-        """Let those of some agents whom ground that bends led farther than they may walk go back towards the start by as much.
-        Says which of them (their numbers among these, ascending) are then not too far; None for all."""
+        """Move agents back towards the start that curved ground led farther than they may walk. Returns the ascending indices of
+        rows that are then within range; None for all."""
         for _ in range(_BACK):
             far, most = self._reached(population, rows, moved)
             if far is None:
@@ -92,17 +92,16 @@ class Corrections:
         return None if far is None else np.flatnonzero(far <= most * _LONGER)
 
     def _reached(self, population: Population, rows: Rows, moved: Move) -> tuple[Floats | None, Floats]:
-        """How far (mm) from where some agents began they would get, None where nobody gets farther than it may, and how far they
-        may."""
+        """Return the distances (mm) of some agents from their start, None if no agent exceeds its limit, and these limits."""
         began, max_speed = self._began[population.name], population.now["max_speed"]
         far, most = np.empty((2, len(rows)))
         found = _too_far(rows, moved.position, began, population.position, max_speed, self._dt, far, most)
         return (far if found else None), most
 
     def _put(self, population: Population, rows: Rows, moved: Move) -> Floats:
-        """Where corrections have led the feet of some agents; gives by what (3, k) mm. Bodies stay as they stand, or they would
-        be in others again: they lean, and the next step turns them after their feet. The footings, places and normals written to
-        are those that the substep's own walk has made, which nobody else has."""
+        """Write the corrected footings of some agents; return the displacements (3, k) mm. Bodies stay upright as they are, or
+        they would overlap others again: they lean, and the next step turns them after their feet. The arrays written to were
+        created by the walk of this substep, so they are not shared."""
         at, velocity = (vec.named(population.now, name) for name in ("position", "velocity"))
         got = np.empty((3, len(rows)))
         _arrived(rows, moved.position, moved.up, self._dt, at, velocity, population.position, population.normal, got)
@@ -122,8 +121,8 @@ def _single(v: Vec3) -> Vec3F32:
 
 
 class Feet(NamedTuple):
-    """Where feet of a species `began` and are (n, 3), with the normal of the ground (n, 3); how fast agents are and their
-    mass."""
+    """Where feet of a species `began` and are now (n, 3), the normal of the ground (n, 3), the speed limit and the mass of
+    agents."""
 
     began: Strided2[F64]
     place: Strided2[F64]
@@ -144,8 +143,8 @@ def stands(
     reach: Array1[F64],
     mass: Array1[F64],
 ) -> None:
-    """How some rows of a species stand after a substep of `dt` s, from the number `first` on among all rows: as
-    `contacts.Agents`, and by how much they have `walked` (3, k) mm."""
+    """Write how some rows of a species stand after a substep of `dt` s, from index `first` on among all rows: as in
+    `contacts.Agents`, and how far they have `walked` (3, k) mm."""
     began, place, feet, max_speed, weight = species
     for n in independent(0, rows.size):
         row, k = rows[n], first + n
@@ -159,7 +158,7 @@ def stands(
 
 @kernel
 def came(rows: Array1[I64], first: I64, velocity: VectorColumns, dt: F32, way: Array2[F64]) -> None:
-    """How far (mm) agents came in a time as long before, of some rows of a species, from the number `first` on among all rows."""
+    """Write the previous displacement (mm) of some rows of a species, in a time of `dt`, from index `first` on among all rows."""
     for n in independent(0, rows.size):
         for axis in range(3):
             way[axis, first + n] = velocity[axis][rows[n]] * dt
@@ -178,8 +177,8 @@ def _asked(
     heading: Array2[F64],
     size: Array1[F64],
 ) -> None:
-    """What a walk by (3, k) mm is told of some rows of a species: the way and the normal of the ground, float32, the same normal,
-    headings and sizes, float64."""
+    """Compute the inputs of a walk by (3, k) mm for some rows of a species. These are step and ground normal, float32; the same
+    normal, headings and sizes, float64."""
     for k in independent(0, rows.size):
         row = rows[k]
         size[k] = long[row]
@@ -200,8 +199,8 @@ def _too_far(
     far: Array1[F64],
     most: Array1[F64],
 ) -> BOOL:
-    """Whether any of some rows of a species gets farther than it may by ending at places `to` (k, 3), or that is not known: how
-    far (mm) from where it `began` (n, 3), and how far it may."""
+    """Return whether any of some rows would end at `to` (k, 3) farther away than allowed, or at an unknown distance. Writes the
+    distance (mm) from where it `began` (n, 3), and the allowed distance."""
     found = False
     for k in range(rows.size):
         row = rows[k]
@@ -225,8 +224,8 @@ def _arrived(
     feet: Strided2[F32],
     got: Array2[F64],
 ) -> None:
-    """Put agents where corrections have led them, all but footings: they end at places `to` with ways up `above` (k, 3), and have
-    come on by what they `got` (3, k) mm."""
+    """Place agents at the end of their corrections, all but footings: at positions `to` with up `above` (k, 3), after a
+    displacement `got` (3, k) mm."""
     for k in independent(0, rows.size):
         row = rows[k]
         end, up = _row(to, k), _single(_row(above, k))
@@ -250,29 +249,29 @@ def _arrived(
 
 
 def led(asked: Floats) -> tuple[Rows, Floats]:
-    """Which rows are `asked` to go (3, k) mm anywhere, and how far these are."""
+    """Return which rows have a nonzero displacement in `asked` (3, k) mm, and these displacements."""
     some, wanted = np.empty(asked.shape[1], np.intp), np.empty_like(asked)
     count = _led(asked, some, wanted)
     return some[:count], wanted[:, :count]
 
 
 def missed(near: Near, some: Rows, wanted: Floats, got: Floats, held: Flags) -> Flags:
-    """Which rows (k) are looked at again, of `some` that were `wanted` to go (3, ..) mm and `got` so far. They stand there now;
-    who came on by too little of it is `held` (k) besides those who are."""
+    """Return which rows (k) are measured again. Rows `some` were to move by `wanted` (3, ..) mm and have moved by `got`. Updates
+    their positions. Sets `held` (k) for rows that advanced too little; flags already set stay."""
     touched = np.zeros(len(held), np.bool_)
     _missed(some, wanted, got, near.radius, near.middle, held, touched)
     return touched
 
 
 def visible(near: Near, touched: Flags) -> Flags | None:
-    """Which pairs (m) have a row that is `touched` (k); None where none of them is an overlap that more is walked for."""
+    """Return which pairs (m) have a row that is `touched` (k); None if none of them overlaps enough for another round."""
     which = np.empty(len(near.i), np.bool_)
     return which if _visible(near.i, near.j, near.gap, near.radius, touched, which) else None
 
 
 @kernel
 def _led(asked: Array2[F64], some: Array1[I64], wanted: Array2[F64]) -> I64:
-    """How many rows go anywhere, which are the first of `some` and `wanted` (3, k)."""
+    """Return how many rows have a nonzero displacement. The first entries of `some` and `wanted` (3, k) are these rows."""
     count = 0
     for k in range(some.size):
         way = of(asked, k)
@@ -306,7 +305,7 @@ def _missed(
 def _visible(
     i: Array1[I64], j: Array1[I64], gap: Array1[F64], radius: Array1[F64], touched: Array1[BOOL], which: Array1[BOOL]
 ) -> BOOL:
-    """Which pairs have a row that is `touched`; says whether there are any that more is walked for."""
+    """Write which pairs have a row that is `touched`; return whether any of them overlaps enough for another round."""
     for pair in independent(0, i.size):
         which[pair] = touched[i[pair]] | touched[j[pair]]
     found = False

@@ -1,4 +1,5 @@
-"""Steps that would lead agents into others are bent along these, and then cut: nobody goes farther than half of what is free."""
+"""Steps that would lead agents into others are deflected along them, then cut: no agent goes farther than half of the free
+gap."""
 
 from __future__ import annotations
 
@@ -22,14 +23,15 @@ _BENDS = 3  # times that a step is bent along those in its way, before it is cut
 
 
 def cut(near: Near, came: Floats, mass: Floats, walked: Floats, gap: Floats, way: Floats) -> tuple[Floats, Rows, Flags]:
-    """By what (3, k) mm steps of rows that `walked` (3, k) mm are cut and bent so that nobody enters another; who goes less than
-    half of its way, and so is stopped; and who of all (k) is cut or stopped. They `came` (3, k) mm in a time as long before this
-    one; `gap` (m) and `way` (3, m) of pairs are those from before the steps.
+    """Cut and deflect steps of rows that `walked` (3, k) mm, so that no agent enters another. Returns the displacements (3, k) mm
+    of that correction, the stopped rows, and flags (k) of rows that are cut or stopped. An agent that goes less than half of its
+    step is stopped. `came` (3, k) mm: the displacements in a period of equal length before this one. `gap` (m) and `way` (3, m)
+    of pairs are those before the steps.
 
-    As in J. van den Berg et al., Reciprocal n-Body Collision Avoidance, 2011, each agent by itself keeps to half-planes: towards
-    each other one it goes no farther than half of the gap, and than what that one withdraws if it goes on as it came. What all
-    share in is so found without anybody waiting for others, and a crowd that presses stands still. Of two masses the heavier is
-    cut less."""
+    As in J. van den Berg et al., Reciprocal n-Body Collision Avoidance, 2011, each agent respects half-planes independently.
+    Towards each neighbour it goes no farther than half of the gap, and than the neighbour's withdrawal if that continues its
+    previous displacement. The shared limits thus need no iteration between agents, and a pressing crowd stands still. Of two
+    masses, the heavier is cut less."""
     most = max(walked.max(), -walked.min(), 1e-30)
     magic = np.ldexp(1.5, int(np.frexp(most)[1]) + 2 - _FINE + 52)
     rows, pairs = len(near.rows), len(gap)
@@ -42,7 +44,7 @@ def cut(near: Near, came: Floats, mass: Floats, walked: Floats, gap: Floats, way
 
 @inlined
 def add(sums: Array2[F64], i: I64, v: Vec3, magic: F64) -> None:
-    """Add to a sum of terms that are rounded to the quantum of `magic`."""
+    """Add a term, rounded to the quantum of `magic`, to a sum."""
     for axis in range(3):
         sums[axis, i] += (v[axis] + magic) - magic
 
@@ -53,7 +55,7 @@ def negative(v: Vec3) -> Vec3:
 
 
 class Room(NamedTuple):
-    """Memory for work: `free` (2, m), `sums` (3, k), `part`, `met` and `some` (k) and `pairs` (m)."""
+    """Work buffers: `free` (2, m), `sums` (3, k), `part`, `met` and `some` (k) and `pairs` (m)."""
 
     free: Array2[F64]
     sums: Array2[F64]
@@ -78,9 +80,10 @@ def _bent(
     stopped: Array1[I64],
     changed: Array1[BOOL],
 ) -> I64:
-    """Bend and cut steps as `cut` says: by what steps are `cut` (3, k), who has `changed` (k), and how many are
-    stopped, which are the first of `stopped`. Once all pairs have been looked at, only those count of which a row has been
-    bent: no other goes elsewhere."""
+    """Bend and cut steps as `cut` describes. Writes by what steps are `cut` (3, k), which rows have `changed` (k), and the
+    `stopped` rows first in `stopped`. Returns their number.
+
+    After a pass over all pairs, only pairs with a bent row are visited again, because no other step has changed."""
     free, sums, part, met, some, pairs = room
     for pair in independent(0, i.size):
         ways, over = of(way, pair), 0

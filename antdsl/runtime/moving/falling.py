@@ -1,4 +1,5 @@
-"""Nobody gets farther in a step than it may: who falls because its ground was dug away is in the air for as long as it takes."""
+"""Limits falling: no agent gets farther in a step than it may. An agent that lost its ground to digging stays in the air for as
+long as its fall takes."""
 
 from __future__ import annotations
 
@@ -15,12 +16,12 @@ Rows = NDArray[np.intp]
 
 _LONGER = 1.005  # times the way allowed, above which a step is cut: less is the rounding of a seam
 _TOUCHES = 0.02  # of a body: how far from a solid who stands on it may be
-_LENGTHS = 7.5  # body lengths a second at which those fall whose max_speed is 0
+_LENGTHS = 7.5  # body lengths a second: falling speed of agents with a max_speed of 0
 
 
 def in_the_air(world: World, population: Population, moved: Move, dt: np.float32) -> Move:
-    """What a walk led to; those whom it led farther than `max_speed` allows are only as far on the straight way there, in the air
-    of the solid that they fall from or come to. Their next step goes on from there."""
+    """Limit the result of a walk: agents that would exceed `max_speed` go only that far on the straight line to their target.
+    They are then in the air of the solid that they fall from or come to. Their next step continues from there."""
     now, first = population.now, len(world.ground.names) - len(world.solids)
     speed = np.where(now["max_speed"] > 0, now["max_speed"], now["size"] * np.float32(_LENGTHS)).astype(np.float64)
     way = moved.position - population.position
@@ -38,7 +39,7 @@ def in_the_air(world: World, population: Population, moved: Move, dt: np.float32
 
 
 def floating(world: World, population: Population, rows: Rows) -> Rows:
-    """Which of some agents (their numbers among these, ascending) are in the air of a solid, on their way down."""
+    """Return which of some agents (ascending indices into `rows`) are falling through the air of a solid."""
     first = len(world.ground.names) - len(world.solids)
     mesh = population.footing.mesh[rows]
     found = np.zeros(len(rows), np.bool_)
@@ -49,7 +50,7 @@ def floating(world: World, population: Population, rows: Rows) -> Rows:
 
 
 def pushed_in_the_air(world: World, population: Population, rows: Rows, way: Floats) -> Move:
-    """Where pushes (k, 3) mm lead agents that are in the air of a solid: straight there, but not into a solid."""
+    """Return where pushes (k, 3) mm move agents in the air of a solid: straight ahead, but not into a solid."""
     place = population.position[rows] + way
     for volume in world.solids.values():
         inside = volume.sample(place) < 0

@@ -1,4 +1,4 @@
-"""Whose head is inside of what it walks on: behind a surface of the ground, or in a solid."""
+"""Heads inside the ground: behind a surface that agents walk on, or in a solid."""
 
 from __future__ import annotations
 
@@ -13,10 +13,11 @@ DEEP = 0.1  # of a body: a head that is no deeper inside but touches
 
 
 def heads_inside(world: World, population: Population) -> NDArray[np.bool_]:
-    """Whose head bool[n] is inside of the ground or a solid, as they stand now.
+    """Return which heads, bool[n], are inside the ground or a solid in the current state.
 
-    A head is half a body ahead of the middle, which is over the feet: half by the ground's way up, half by the body's. It is
-    inside where a surface lies between the two, or where it is in a solid, and more than a tenth of a body behind that."""
+    A head is half a body ahead of the middle. The middle is above the feet, along the mean of the ground's normal and the body's
+    up. A head is inside if a surface lies between head and middle, or if it is in a solid. In both cases it must be more than a
+    tenth of a body behind that."""
     now = population.now
     size = now["size"].astype(np.float64)
     high = np.maximum(RAISED * size, now["clearance"])

@@ -1,5 +1,5 @@
-"""Things of the world that move: put where they are at a frame, agents carried along by the ground they stand on, and pushed
-aside by obstacles that come their way. All of it is a function of the frame and of where the agents stand."""
+"""Moving things of the world: they are placed for a frame, agents are carried by their ground, and obstacles push agents aside.
+All of it is a function of the frame and of the agents' positions."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ from antdsl.numerics.vectors import Vector
 from antdsl.runtime.moving.obstacles import mesh_of
 from antdsl.runtime.world import AXES, Population, World
 
-_CURVE_PIECE = 1.0  # mm: a curve is asked for its nearest point and way in pieces of this length
+_CURVE_PIECE = 1.0  # mm: queries for the nearest point and direction split a curve into pieces of this length
 _MARGIN = np.float32(0.5)  # of the radius: how far an obstacle that comes near keeps an agent's centre off
 _PUSHES = 4  # ways out that are tried in one step
 _F = np.float32
 
 
 def carry(world: World) -> None:
-    """Everything to where it is at the next frame: agents with the ground they stand on, then out of the way of obstacles."""
+    """Move everything to the next frame: agents with the ground they stand on, then out of the way of obstacles."""
     if not world.setting.moves:
         return
     ground = moving(world)
@@ -38,7 +38,8 @@ def carry(world: World) -> None:
 
 
 def pose(world: World, frame: int) -> None:
-    """Put all that moves where it is at a frame of the scene; agents stay on their footing and are not moved themselves."""
+    """Move all moving things to their places at a frame of the scene. Agents stay on their footing and are not moved
+    themselves."""
     moves = world.setting.moves
     if not moves:
         return
@@ -67,7 +68,7 @@ def moving(world: World) -> MovingGround | None:
 
 
 def pose_ground(world: World, frame: int) -> None:
-    """Only the ground, by sums of NumPy alone: for who looks at a world and asks it for no rays."""
+    """Move only the ground, using NumPy alone: for callers that read a world and cast no rays."""
     ground = moving(world)
     if ground is not None:
         moved = [name for name in world.setting.moves.meshes if name in world.setting.surfaces]
@@ -75,19 +76,19 @@ def pose_ground(world: World, frame: int) -> None:
 
 
 def vertices_at(world: World, name: str, frame: int) -> NDArray[np.float64]:
-    """Where the vertices of a mesh are at a frame of the scene, as the world counts places."""
+    """Return the vertices of a mesh at a frame of the scene, in the world's coordinates."""
     moves, setting = world.setting.moves, world.setting
     mesh = setting.surfaces[name] if name in setting.surfaces else setting.obstacles[name]
     return moves.meshes[name].vertices(mesh.vertices, frame - moves.first) - world.origin
 
 
 def curve(points: NDArray[np.float64]) -> Curve:
-    """A curve ready to be asked."""
+    """Return a curve that is ready for queries."""
     return Curve(points, _CURVE_PIECE)
 
 
 def ground_velocity(world: World, population: Population) -> NDArray[np.float64] | None:
-    """How fast (n, 3) mm/s the points of ground went, in the step that led here, that agents stand on; None where none moves."""
+    """Return the velocity (n, 3) mm/s of the ground points below agents in the last step; None if no ground moves."""
     ground, moves = moving(world), world.setting.moves
     if ground is None:
         return None
@@ -105,12 +106,12 @@ def ground_velocity(world: World, population: Population) -> NDArray[np.float64]
 
 
 def rest_places(world: World, population: Population) -> NDArray[np.float64]:
-    """Where the points of ground that agents stand on were at rest, (n, 3): the space in which fields have their cells."""
+    """Return the rest positions (n, 3) of the ground points below agents: the space in which fields have their cells."""
     return at_rest(world, population.footing, population.position)
 
 
 def at_rest(world: World, footing: Footing, place: NDArray[np.float64]) -> NDArray[np.float64]:
-    """As `rest_places`, of any footings at places (n, 3)."""
+    """As `rest_places`, for any footings at places (n, 3)."""
     ground = moving(world)
     if ground is None:
         return place
@@ -121,7 +122,7 @@ def at_rest(world: World, footing: Footing, place: NDArray[np.float64]) -> NDArr
 
 
 def turned_from_rest(world: World, population: Population, rows: NDArray[np.intp] | slice, vectors: Vector) -> Vector:
-    """Vectors (three float32 arrays) of the ground as it lay at rest, turned as it lies now under each agent."""
+    """Return vectors (three float32 arrays) of the ground at rest, rotated to the current ground below each agent."""
     ground = moving(world)
     if ground is None:
         return vectors
@@ -137,8 +138,8 @@ def turned_from_rest(world: World, population: Population, rows: NDArray[np.intp
 
 
 def from_rest(world: World, population: Population, rows: NDArray[np.intp] | slice, places: Vector) -> Vector:
-    """Places (three float32 arrays) beside agents, on the ground as it lay at rest, where they are now: as if all about an agent
-    had moved as its own face has."""
+    """Return the current positions of places (three float32 arrays) near agents on the ground at rest. All ground near an agent
+    is assumed to have moved like its own face."""
     ground = moving(world)
     if ground is None:
         return places
@@ -161,7 +162,7 @@ def _rays(world: World, name: str, frame: int) -> RayScene:
 
 
 def _stood(ground: MovingGround | None, population: Population) -> tuple[NDArray[np.intp], Axes | None]:
-    """Who stands on ground that moves, and the frames of the faces before it does."""
+    """Return the rows of agents on moving ground, and the frames of their faces before it moves."""
     if ground is None:
         return np.empty(0, np.intp), None
     rows = ground.carries(population.footing.mesh)
@@ -169,7 +170,7 @@ def _stood(ground: MovingGround | None, population: Population) -> tuple[NDArray
 
 
 def _carried(ground: MovingGround, population: Population, rows: NDArray[np.intp], before: Axes) -> None:
-    """Place, up, heading and velocity of those whose ground has moved, turned as their face has."""
+    """Rotate the position, up, heading and velocity of agents on moved ground as their face has turned."""
     footing = population.footing.faces(rows)
     after = ground.axes(footing)
     now = population.now
@@ -188,7 +189,7 @@ def _carried(ground: MovingGround, population: Population, rows: NDArray[np.intp
 
 
 def _turn(before: Axes, after: Axes, v: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Vectors (3, n) that keep their parts along the axes of a frame that has turned."""
+    """Return vectors (3, n) with unchanged components along the axes of a frame that has turned."""
     parts = [(a[0] * v[0] + a[1] * v[1]) + a[2] * v[2] for a in before]
     turned: NDArray[np.float64] = (parts[0] * after[0] + parts[1] * after[1]) + parts[2] * after[2]
     return turned
@@ -199,7 +200,7 @@ def _vectors(population: Population, name: str, rows: NDArray[np.intp]) -> NDArr
 
 
 def _pushed(world: World, population: Population, name: str) -> None:
-    """Walk agents out of an obstacle that has come upon them, away from its nearest face, until its margin is free."""
+    """Walk agents out of an obstacle that has reached them, away from its nearest face, until its margin is free."""
     scene, now = mesh_of(world, name), population.now
     place = vec.named(now, "position")
     margin = np.maximum(now["radius"], _F(0)) * _MARGIN
@@ -231,7 +232,7 @@ def _pushed(world: World, population: Population, name: str) -> None:
 
 
 def _put(population: Population, rows: NDArray[np.intp], moved: Move) -> None:
-    """Where a push has led some agents; their velocity goes on along the ground there."""
+    """Place some agents where a push has moved them; their velocity continues along the ground there."""
     footing = population.footing.copy()  # a snapshot may have the one from before
     footing.put(rows, moved.footing)
     population.footing = footing

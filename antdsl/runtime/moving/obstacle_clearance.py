@@ -1,4 +1,4 @@
-"""How far each agent is from an obstacle at least, as it stood when the step began: most need not ask with a ray."""
+"""A lower bound of each agent's distance from an obstacle at the start of the step: most agents then need no ray."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ _SLACK = np.float32(FAR_OFF)
 
 
 def clearance(world: World, population: Population, obstacle: str) -> NDArray[np.float32]:
-    """A distance (mm, float32[n]) within which an agent has no face of the obstacle; 0 when near. Kept for the step."""
+    """Return a distance (mm, float32[n]) within which an agent has no face of the obstacle; 0 when near. Cached for the step."""
     key = (population.name, obstacle, population.version)
     found = world.clearances.get(key)
     if found is None:
@@ -24,5 +24,5 @@ def clearance(world: World, population: Population, obstacle: str) -> NDArray[np
 
 
 def may_touch(clear: NDArray[np.float32], reach: NDArray[np.float32]) -> NDArray[np.bool_]:
-    """Who may have a face within `reach` (mm) of where they stand."""
+    """Return which agents may have a face within `reach` (mm)."""
     return clear <= reach * (1 + _SLACK) + _SLACK

@@ -1,4 +1,4 @@
-"""Obstacles are hard: a step that would bring an agent's centre into one is shortened, and what is left of it slides along."""
+"""Obstacles are hard: a step that would move an agent's centre into one is shortened, and the rest of it slides along."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ _LOOKS, _LONGER = 1 + 1e-6, _F(1) + _F(1e-6)  # more than rounding makes of a di
 
 
 def slide(world: World, population: Population, step: Vector, up: Columns, radius: NDArray[np.float32]) -> Vector:
-    """The step (mm) of every agent, bent along the obstacles in its way; up is the ground's."""
+    """Return the step (mm) of every agent, bent along the obstacles in its way. `up` is the normal of the ground."""
     names = _names(world)
     if names:
         place, began = vec.named(population.now, "position"), _where_they_were(population, world.options.threads)
@@ -43,7 +43,7 @@ def slide(world: World, population: Population, step: Vector, up: Columns, radiu
 
 
 def slide_some(world: World, population: Population, rows: NDArray[np.intp], step: Vector, up: Columns) -> Vector:
-    """As `slide`, of some agents alone, from where they are now in a step that began elsewhere."""
+    """As `slide`, for some agents, from their current positions within a step that began elsewhere."""
     names = _names(world)
     if names:
         place, radius, gone = _strayed(population, rows)
@@ -54,7 +54,7 @@ def slide_some(world: World, population: Population, rows: NDArray[np.intp], ste
 
 
 def _strayed(population: Population, rows: NDArray[np.intp]) -> tuple[Vector, NDArray[np.float32], NDArray[np.float32]]:
-    """Where some agents are now, their radii, and how far (mm) they are at most from where the step began."""
+    """Return positions of some agents, their radii, and an upper bound of their distance (mm) from the start of the step."""
     places, start = (vec.named(registers, "position") for registers in (population.now, population.start))
     place, radius, gone = np.empty((3, len(rows)), np.float32), *np.empty((2, len(rows)), np.float32)
     strayed(rows, places, start, population.now["radius"], place, radius, gone)
@@ -67,14 +67,14 @@ def _names(world: World) -> list[str]:
 
 
 def mesh_of(world: World, name: str) -> RayScene:
-    """An obstacle that nobody walks through; solids are none."""
+    """Return the mesh of an obstacle that agents cannot walk through. Solids are not among them."""
     scene = world.obstacles[name]
     assert isinstance(scene, RayScene)
     return scene
 
 
 def _where_they_were(population: Population, threads: int) -> bool:
-    """Whether everybody is still where the step began; not so after a first substep."""
+    """Return whether all agents are still where the step began; this is false after a first substep."""
     now, start = vec.named(population.now, "position"), vec.named(population.start, "position")
     return all(parallel.in_parts(partial(same, now, start), len(population), threads, parallel.LIGHT))
 
@@ -83,7 +83,8 @@ def _along(
     scene: RayScene, place: Vector, step: Vector, up: Columns, radius: NDArray[np.float32], clear: NDArray[np.float32],
     threads: int,
 ) -> Vector:  # fmt: skip
-    """Steps (mm) of agents at places, bent along one obstacle; `clear` (mm) of it are they at least."""
+    """Return the steps (mm) of agents at `place`, bent along one obstacle. `clear` (mm): a lower bound of their distance from
+    it."""
     n = len(radius)
     tables = scene.tables()
     if tables is not None:
@@ -125,7 +126,8 @@ def _turned(
     parts: list[tuple[int, int, int, int]],
     threads: int,
 ) -> Vector:
-    """Steps, of those whom the kernel `along` has found bent ones, of those who have met a face turned aside from that."""
+    """Return the steps, with those deflected by the kernel `along` replaced. Steps that also hit a face are turned aside from
+    it."""
     rows, found = parallel.joined(parts, rows, found)
     if not len(rows):
         return step
@@ -158,7 +160,7 @@ def _turn_aside(
     normal: Vector,
     threads: int,
 ) -> None:
-    """Bend the steps of those who have `met` a face of a normal after what is `free` (mm) of them; changes them in place."""
+    """Bend, in place, the steps of agents that `met` a face with this normal after `free` mm."""
     u, wanted = vec.take(up, met), vec.take(step, met)
     size = vec.length(wanted)
     wall = vec.unit(vec.flat(normal, u), normal)
@@ -202,7 +204,7 @@ def same(one: VectorColumns, other: VectorColumns, begin: I64, end: I64) -> BOOL
 
 @inlined
 def _asked(step: VectorColumns, radius: Array1[F32], clear: Array1[F32], i: I64) -> tuple[F32, F32, BOOL]:
-    """How long a step is, its margin, and whether it may touch an obstacle."""
+    """Return the length of a step, its margin, and whether it may touch an obstacle."""
     way = (step[0][i], step[1][i], step[2][i])
     size = np.sqrt(dot(way, way))
     margin = (_ZERO if radius[i] <= 0 else radius[i]) * _MARGIN
@@ -211,7 +213,8 @@ def _asked(step: VectorColumns, radius: Array1[F32], clear: Array1[F32], i: I64)
 
 @inlined
 def _kept(step: Vec3F32, up: Vec3F32, size: F32, margin: F32, clear: F32, gap: F32, out: Vec3F32) -> tuple[Vec3F32, F32, BOOL]:
-    """A step that keeps the margin from the nearest face, so far along `out`; its length, and whether it may meet a face."""
+    """Return a step that keeps the margin from the nearest face, `gap` away along `out`; its length, and whether it may hit a
+    face."""
     wall = minus(out, times(up, dot(out, up)))
     long = np.sqrt(dot(wall, wall))
     if long > _TINY and np.isfinite(long):
@@ -234,8 +237,8 @@ def _kept(step: Vec3F32, up: Vec3F32, size: F32, margin: F32, clear: F32, gap: F
 
 
 class Touching(NamedTuple):
-    """`begin`; how many agents may touch an obstacle on their step; how many of these meet it on the step that keeps the margin;
-    of how many the grid cannot tell."""
+    """`begin`; the number of agents that may touch an obstacle on their step; how many of these hit it on the step that keeps the
+    margin; for how many the grid gives no answer."""
 
     begin: I64
     agents: I64
@@ -258,10 +261,10 @@ def along(
     begin: I64,
     end: I64,
 ) -> Touching:
-    """Which agents from `begin` to before `end` may touch an obstacle on their step, which is `clear` of them, without those who
-    are outside and whose nearest face is farther than they look: their steps stay. From number `begin` on: their `rows` with
-    place, that step, the `up` of the ground (3, n) and the margin, `found` [10, n]; who of them has `met` a face, how much of
-    the step (mm) is free, and the normal, `hits` [4, n]."""
+    """Find agents from `begin` to before `end` that may touch an obstacle on their step, that is, closer than `clear`. Agents
+    outside with their nearest face beyond their range are left out: their steps stay. From index `begin` on, writes their `rows`,
+    and into `found` [10, n] position, deflected step, `up` of the ground (3, n) and margin. `met`: those that hit a face; `hits`
+    [4, n]: the free length (mm) of the step, and the normal."""
     asking = begin
     for i in range(begin, end):
         _, _, asked = _asked(step, radius, clear, i)
@@ -310,7 +313,7 @@ def along(
 
 @kernel
 def put(step: VectorColumns, rows: Array1[I64], own: Strided2[F32], to: Array2[F32]) -> None:
-    """Steps `to` (3, n), of some rows their `own` (3, k)."""
+    """Write the steps to `to` (3, n): for some rows their `own` (3, k)."""
     for i in independent(0, step[0].size):
         to[0, i], to[1, i], to[2, i] = step[0][i], step[1][i], step[2][i]
     for k in range(rows.size):
@@ -328,8 +331,10 @@ def touching(
     begin: I64,
     end: I64,
 ) -> tuple[I64, I64]:
-    """Gives `begin` and how many from there to before `end` may touch an obstacle on their step, which is `clear` of them: from
-    `begin` on their rows, and of each `found` [9, ..]: how long its step is, its margin (mm) and `clear`, then both vectors."""
+    """Find agents from `begin` to before `end` that may touch an obstacle, `clear` mm away, on their step.
+
+    Returns `begin` and their number. From `begin` on, writes their rows, and into `found` [9, ..]: length of the step, margin
+    (mm) and `clear`, then both vectors."""
     count = begin
     for i in range(begin, end):
         size, margin, asked = _asked(step, radius, clear, i)
@@ -351,9 +356,10 @@ def kept_off(
     going: Array1[I64],
     rays: Array2[F32],
 ) -> I64:
-    """Steps of those whom `touching` has found, on ground whose up is `above`, `bent` [3, n] such that they keep the margin from
-    the nearest face, which lies so far (`gaps`) along `out` [3, n]; and how many may meet a face on them: which ones they are,
-    and their `rays` [9, n]: place, direction, how far they look, the length of the step and the margin."""
+    """Compute deflected steps, `bent` [3, n], that keep the margin from the nearest face, for agents found by `touching`. `above`
+    is the up of the ground; the nearest face lies at distance `gaps` along `out` [3, n]. Returns how many agents may hit a face
+    on these steps. Writes which ones (`going`) and their `rays` [9, n]: position, direction, range, the length of the step and
+    the margin."""
     count = 0
     for i in range(gaps.size):
         margin, up, away = near[1, i], (above[0][i], above[1][i], above[2][i]), (out[0, i], out[1, i], out[2, i])
@@ -371,8 +377,7 @@ def kept_off(
 
 @kernel
 def slowed(wanted: VectorColumns, step: VectorColumns, velocity: VectorColumns, rate: F32, begin: I64, end: I64) -> None:
-    """Changes velocities of agents from `begin` to before `end`, of those whose steps are not as `wanted`, to `rate` times their
-    steps."""
+    """Set the velocities of agents from `begin` to before `end` with steps other than `wanted` to `rate` times their steps."""
     for i in independent(begin, end):
         if step[0][i] != wanted[0][i] or step[1][i] != wanted[1][i] or step[2][i] != wanted[2][i]:
             for k in range(3):
@@ -389,7 +394,8 @@ def strayed(
     radius: Array1[F32],
     gone: Array1[F32],
 ) -> None:
-    """Of some rows where they are, `at` (3, k), their radii, and how far from where the step began, with a bit more."""
+    """Write the positions `at` (3, k) of some rows, their radii, and their distance from the start of the step, slightly
+    increased."""
     for k in independent(0, rows.size):
         row = rows[k]
         to = (place[0][row], place[1][row], place[2][row])

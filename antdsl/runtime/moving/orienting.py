@@ -1,10 +1,9 @@
-"""How a body stands on the ground, other than by the ground's own smooth normal: from how its direction turned, or from two
-probes. Both are those of the sources (R15), and take the normal of the ground where they do not hold.
+"""How a body stands on the ground, other than by the ground's smooth normal: from the turn of its direction, or from two probes.
+Both follow the sources (R15), and use the normal of the ground where they fail.
 
-`turns` (method 1 there) asks the ground for nothing: two directions of motion, one after the other, lie in one plane with the
-ground as long as that is flat, and their cross product is its normal. `probes` (method 2) puts two points on the surface, ahead
-and to the left, and stands across the ways to them.
-"""
+`turns` (method 1 there) does not query the ground. Two successive directions of motion span the plane of flat ground, and their
+cross product is its normal. `probes` (method 2) puts two points on the surface, ahead and to the left, and stands perpendicular
+to the directions to them."""
 
 from __future__ import annotations
 
@@ -20,12 +19,13 @@ Floats = NDArray[np.float64]
 
 _TURNED = 0.0087  # sine of the least turn of a direction, half a degree, that tells of a plane
 _BENT = 0.1  # of that turn: how far the ground's normal may turn in the same step
-_NEAR = 0.984807753012208  # cosine of 10 degrees: how far from the ground's normal what turns say may be, and what is kept
+# cosine of 10 degrees: greatest angle between the ground's normal and an up computed from turns or retained
+_NEAR = 0.984807753012208
 _FAR = 0.7071067811865476  # cosine of 45 degrees: the same of what two probes say
 
 
 def orient(world: World, population: Population, before: Vector, stood: Vector, normal: NDArray[np.float32]) -> None:
-    """Stand bodies as the scene asks, from how they stand on the ground's normal now; changes up and heading.
+    """Orient bodies as the scene requests, starting from their orientation on the ground's normal; changes up and heading.
 
     `before`, `stood` and `normal` (n, 3) are the velocity, the up of the body and the normal below the feet before the step."""
     ground = population.normal.T.astype(np.float64)
@@ -43,8 +43,9 @@ def orient(world: World, population: Population, before: Vector, stood: Vector, 
 def _by_turns(
     world: World, population: Population, before: Floats, stood: NDArray[np.float32], normal: NDArray[np.float32], ground: Floats
 ) -> Floats:
-    """Ways up (3, n) across the last two directions of motion. Where these are one, where the ground bends between them by more
-    than a tenth of their angle, or where an animal stands, the last way up is kept, but for what is more than 10 degrees off."""
+    """Return ups (3, n) perpendicular to the last two directions of motion. The previous up is retained where the directions
+    agree and where an animal stands. So it is where the ground curves by more than a tenth of the angle between the directions.
+    The result is at most 10 degrees from the ground's normal."""
     zero = np.zeros_like(before)
     one, other = _unit(before, zero), _unit(population.vector("velocity").T, zero)
     across = stacked_cross(one, other)
@@ -58,7 +59,7 @@ def _by_turns(
 
 
 def _within(up: Floats, ground: Floats) -> Floats:
-    """Ways up (3, n) at most 10 degrees off the ground's normals, in the plane of both."""
+    """Return up vectors (3, n), limited to 10 degrees from the ground's normals, in the plane of both."""
     aside = _unit(up - ground * dot(up, ground), np.zeros_like(up))
     most = ground * _NEAR + aside * np.sqrt(1.0 - _NEAR * _NEAR)
     return np.where(dot(up, ground) < _NEAR, _unit(most, ground), up)
@@ -67,8 +68,9 @@ def _within(up: Floats, ground: Floats) -> Floats:
 def _by_probes(
     world: World, population: Population, before: Floats, stood: NDArray[np.float32], normal: NDArray[np.float32], ground: Floats
 ) -> Floats:
-    """Ways up (3, n) across the ways to the nearest places of the ground to two points, half a body ahead and half a body to the
-    left. Where these lie in one line with the body, or stand more than 45 degrees off the ground, it is the ground's."""
+    """Return up vectors (3, n) perpendicular to the directions to two ground points: the nearest ones to half a body ahead and
+    half a body to the left. Where these are in line with the body, or the result is more than 45 degrees off the ground's normal,
+    return that normal."""
     heading = population.vector("heading").T
     reach = np.maximum(population.now["size"], np.float32(0)).astype(np.float64) / 2
     place = population.position.T
@@ -84,7 +86,7 @@ def _by_probes(
 
 
 def _unit(v: Floats, otherwise: Floats) -> Floats:
-    """Vectors (3, n) of length 1, or others where there is no direction."""
+    """Normalize vectors (3, n); return `otherwise` where there is no direction."""
     size = np.sqrt(dot(v, v))
     good = size > 1e-12
     return np.where(good, v / np.where(good, size, 1.0), otherwise)

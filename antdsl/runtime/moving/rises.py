@@ -1,7 +1,7 @@
-"""What rises before agents: a wall of the ground that the next steps lead onto, and how far a body is tilted for it by then.
+"""Rises before agents: a wall of the ground that the next steps reach, and how far a body is tilted for it by then.
 
-A body of length L tilts over a distance of L before a wall, linearly. So its head, L/2 before its feet, keeps out of a wall that
-rises by up to a right angle, and of one that hangs over if the distance is longer by angle / sine."""
+A body of length L tilts over a distance of L before a wall, linearly. So its head, L/2 before its feet, stays out of a wall up to
+a right angle. For an overhanging wall, the distance is longer by angle / sine."""
 
 from __future__ import annotations
 
@@ -26,13 +26,15 @@ _F = np.float32
 _STEEP = 0.7071067811865476  # cosine of the least turn of the ground that is a wall; less is smooth, or a slope
 _EYE = 0.03  # of a body: how high above the feet a ray looks for walls
 _ASIDE = 0.97  # cosine of the angle between look and step above which one ray tells of both
-_FEW = 512  # agents for whom there is always memory
+_FEW = 512  # agents for which memory is always allocated
 WIDEST = 3.0  # half bodies before a wall within which a body tilts, at most
 
 
 class Walls(NamedTuple):
-    """Walls before some agents: normals `wall` (3, k) on their side, direction `ahead` (3, k), the `angle` (radians) by which the
-    ground turns into it, how `far` feet are from it, the distance `over` which the body tilts, `half` its length, mm."""
+    """Walls before some agents, lengths in mm.
+
+    `wall` (3, k): normals on the agents' side; `ahead` (3, k): direction; `angle` (radians): between ground and wall. `far`:
+    distance of the feet from the wall; `over`: the distance over which the body tilts; `half`: half of its length."""
 
     wall: Floats
     ahead: Floats
@@ -48,10 +50,10 @@ _NO_WALLS = Walls(*np.empty((2, 3, 0)), *np.empty((4, 0)))
 def find_walls(
     world: World, population: Population, looking: Vector, step: Vector, reach: Floats, state: NDArray[np.int32]
 ) -> Walls:
-    """Walls before agents that look out as far as `reach` (mm), along their heading over the ground and along their step (mm):
-    of two that for which the body tilts further. An agent that faces a direction of its own and walks backward has no head where
-    it goes. `state` of an agent becomes the number of its wall. `looking` has the headings of those alone who lean, and gets
-    those of all agents that look out."""
+    """Find walls within `reach` (mm) of agents, along their heading over the ground and along their step (mm). Of two walls, the
+    one that tilts the body further counts. An agent that walks backward with a separate facing direction has no head in its
+    direction of motion. `state` of an agent becomes the number of its wall. `looking` has the headings of leaning agents only,
+    and gets those of all agents that search for walls."""
     meshes = world.ground.meshes
     if meshes is None:
         return _NO_WALLS
@@ -76,20 +78,20 @@ def find_walls(
 
 @inlined
 def half_of(size: F32) -> F64:
-    """Half of a body's size (mm), 0 of what is none."""
+    """Return half of a body's size (mm), 0 for a size that is not a valid number."""
     long = np.float64(_F(0) if size <= 0 else size)
     return long / 2 if np.isfinite(long) else 0.0
 
 
 @kernel
 def reaches(size: Array1[F32], reach: Array1[F64]) -> None:
-    """How far (mm) before bodies of sizes (mm) they look out for walls."""
+    """Write how far (mm) ahead bodies of sizes (mm) search for walls."""
     for i in independent(0, size.size):
         reach[i] = WIDEST * half_of(size[i])
 
 
 class Ways(NamedTuple):
-    """Headings of agents and those along the ground, `looking`, of those who lean, by their `state`; their steps; whether `face`
+    """Headings of agents; `looking`: those along the ground, for agents that lean by their `state`; their steps; whether `face`
     has directions to face."""
 
     heading: VectorColumns
@@ -111,9 +113,11 @@ def look(
     origin: Array2[F64],
     ray: Array2[F64],
 ) -> I64:
-    """How many look out, and their `looks` with rays (3, ..): all `rows` along their heading over the ground, and then those who
-    step aside from that along their way, but not who walks backward. There is room for
-    two each. That heading is in `looking` of those who lean, by their `state`, and afterwards of all rows."""
+    """Write the `looks` of agents with rays (3, ..) and return their number.
+
+    First all `rows`, along their heading over the ground. Then the agents that step aside from it, along their step, unless they
+    walk backward. The buffers have space for two per row. `looking` has this heading for agents that lean by their `state`, and
+    afterwards for all rows."""
     which, halves, sizes, aheads, normals = looks
     heading, looking, state, step, faces, face = ways
     count = rows.size
@@ -167,8 +171,10 @@ def walls(
     half: Array1[F64],
     state: Array1[I32],
 ) -> I64:
-    """How many have a wall before them and what `Walls` has of these, from what their looks have met (`hit`, ascending, of which
-    the `first` are straight ahead): of two that for which they tilt further. `state` of these becomes the number of the wall."""
+    """Write the `Walls` of agents with a wall before them, and return their number.
+
+    `hit`: the looks that hit something, ascending; the `first` looks are straight ahead. Of two walls, the one that needs more
+    tilt counts. Writes the number of the wall to `state`."""
     which, halves, sizes, aheads, normals = looks
     middle = 0
     while middle < hit.size and hit[middle] < first:

@@ -1,4 +1,4 @@
-"""Loops over pairs of bodies that part them; sums over pairs are exact, so that no order counts."""
+"""Loops that separate pairs of bodies. Sums over pairs are exact, so the order does not matter."""
 
 from __future__ import annotations
 
@@ -13,17 +13,19 @@ from antdsl.numerics.sorting import listed
 from antdsl.runtime.moving.capsule_distances import Bodies, measured_some
 from antdsl.runtime.moving.cutting import add, negative
 
-DEAD = 5e-4  # of the room of two: an overlap that nobody is moved for, so that who lies still stays so
+DEAD = 5e-4  # of the two collision radii: overlaps up to this move no agent, so that resting agents stay at rest
 FINE = 40  # digits of a term in a sum, below the widest overlap
 _SHARES = 1 << 20  # a share is a multiple of one in so many
-_SPREADS = 3  # contacts along which it is told how locked in agents are
-_OUTWARD = 10.0  # times the difference of two, by which the outer one makes room in a heap
+_SPREADS = 3  # contacts along which the lock values spread
+_OUTWARD = 10.0  # times the difference of two agents, by which the outer one moves more in a dense cluster
 _PRESSED = 1.0  # the same among those who are hardly in each other: there a crowd that presses must not be thrown about
 _LEAST = 1 / 64  # of the whole: what the inner one makes room for at least
-_EAGER = 1.5  # times the mean of its contacts, by which one in a heap is moved
+_EAGER = 1.5  # times the mean of its contacts, by which an agent in a dense cluster is moved
 _STEEPEST = 0.1  # square of the part of a way that lies along the ground, below which one goes no farther for it
-_HEAP = 0.4  # radii: who was half as deep in another begins to be in a heap, who was one and a half times as deep is
-_RESTS = 0.01  # of the way that it may walk: who goes less rests, and presses nobody
+# radii: an agent counts as in a dense cluster from half this previous penetration depth on, and fully from one and a half times
+# it
+_HEAP = 0.4
+_RESTS = 0.01  # of its allowed distance: an agent that goes less rests, and presses no other
 _YIELD = 0.3  # of the way that it may walk: how far one that was free is pushed by others in a substep
 _ONE, _TINY = np.float32(1), np.float32(1e-12)  # as `vectors.unit`
 _MAGIC = 1.5 * 2.0 ** (52 - FINE)
@@ -33,8 +35,8 @@ Pairs = tuple[Array1[I64], Array1[I64], Array1[F64], Array2[F64], Array1[BOOL]] 
 Stand = tuple[
     Array1[F64], Array1[F64], Array1[F64], Array1[F64], Array1[BOOL], Strided2[F64], Strided2[F64], Strided2[F64]
 ]  # fmt: skip
-# Room for work, of rows: two vectors, seven numbers, three whole numbers and a condition; of pairs: six numbers, two vectors and
-# four whole numbers; and the pairs about each row, of all, with where those of each start, below 0 until they are asked for
+# Work buffers. For rows: two vectors, seven numbers, three integers and a condition. For pairs: six numbers, two vectors and four
+# integers. Also all pairs around each row, and where those of each row start, below 0 until they are requested.
 Room = tuple[
     Array2[F64], Array2[F64], Array2[F64], Array2[I64], Array1[BOOL], Array2[F64], Array3[F64], Array2[I64], Array1[I64],
     Array1[I64],
@@ -48,7 +50,7 @@ _CHOSEN, _FIRST, _SECOND, _TOUCHING = range(4)  # whole numbers of pairs
 
 
 def arrays(rows: int, pairs: int) -> tuple[NDArray[Any], ...]:
-    """Arrays for `parted` to work in, of one crowd and its pairs."""
+    """Return buffers for `parted`, for one crowd and its pairs."""
     return (
         np.empty((3, rows)), np.empty((3, rows)), np.empty((7, rows)), np.empty((3, rows), np.int64), np.empty(rows, np.bool_),
         np.empty((6, pairs)), np.empty((2, pairs, 3)), np.empty((4, pairs), np.int64), np.full(rows + 1, -1, np.int64),
@@ -73,8 +75,8 @@ def faced(
     ahead: Array2[F64],
     middle: Array2[F64],
 ) -> None:
-    """Let rows of a species face as before the substep, with their trunks; they are `stopped` among those in pairs and `whole`
-    among all."""
+    """Reset the headings and trunks of rows of a species to those before the substep. `stopped`: their indices among the rows of
+    pairs; `whole`: among all."""
     for n in independent(0, rows.size):
         row, k = rows[n], stopped[n]
         above = (up[0][row], up[1][row], up[2][row])
@@ -101,11 +103,12 @@ def _greatest(numbers: Array1[F64], count: I64) -> F64:
 
 @called
 def _share(m: I64, count: I64, room: Room, light: Array1[F64], heap: Array1[F64]) -> None:
-    """What of their overlap the first and the second of each pair make room for, together 1: the lighter more, and the one that
-    is less locked in; for the first `m` pairs of `room`, among the first `count` rows.
+    """Compute the shares of the overlap by which the first and second of each pair move; they add up to 1. The lighter agent
+    moves more, and so does the less locked one. Applies to the first `m` pairs of `room`, among the first `count` rows.
 
-    Locked in is who is deep in others that are deep in others: the overlaps of each, added up along contacts again and again
-    (power iteration to the first eigenvector of the contact graph, whose values fall from the middle of a heap to its rim)."""
+    An agent is locked if it deeply overlaps others that deeply overlap others. The value adds up overlaps along contacts
+    repeatedly: power iteration to the first eigenvector of the contact graph. That decreases from the middle of a dense cluster
+    to its rim."""
     locked, spread = room[2][_LOCKED], room[2][_SPREAD]
     numbers, first, second = room[5], room[7][_FIRST], room[7][_SECOND]
     deep = numbers[_DEEP]
@@ -140,7 +143,8 @@ def _share(m: I64, count: I64, room: Room, light: Array1[F64], heap: Array1[F64]
 
 @inlined
 def _within(gone: Vec3, middle: Vec3, room: F64) -> Vec3:
-    """A correction cut so that it ends no farther than its `room` from a place that lies `middle` before where the walk led."""
+    """Limit a correction: it ends no farther than `room` from a point. `middle` is the vector from that point to the end of the
+    walk."""
     way = plus(middle, gone)
     size = np.sqrt(dot(way, way))
     if size > room:
@@ -161,8 +165,10 @@ def parted(
     lost: Array1[I64],
     room: Room,
 ) -> tuple[I64, I64]:
-    """Looks at pairs, each with its sweeps, where two part by `slow` of their overlap; changes `gap`, `way`, `which` and `gone`.
-    Where pairs have no way of their own it gives how many looks are left, and how many these are, the first of `lost`."""
+    """Separate pairs in several looks, each with its sweeps, by a share `slow` of their overlap; change `gap`, `way`, `which` and
+    `gone`.
+
+    If pairs have no separation axis, returns the number of remaining looks and of these pairs, listed first in `lost`."""
     radius = bodies.radius
     i, j, gap, way, which = pairs
     number, some, changed = room[3][_NUMBER], room[3][_SOME], room[4]
@@ -172,7 +178,7 @@ def parted(
     touch = listed(touching, i.size)
     number[:] = _NONE
     changed[:] = False
-    alone = looks == 1 and sweeps == 1  # then nobody is moved but who touches another
+    alone = looks == 1 and sweeps == 1  # then only agents that touch another are moved
     if touch and not alone and starts[0] < 0:
         _group(i, j, starts, about)
     for left in range(looks - 1, -1, -1):
@@ -213,7 +219,7 @@ def _dead(radius: Array1[F64], i: Array1[I64], j: Array1[I64], pair: I64) -> F64
 
 @called
 def _group(i: Array1[I64], j: Array1[I64], starts: Array1[I64], about: Array1[I64]) -> None:
-    """The pairs `about` each row: those of row k from `starts[k]` to before `starts[k + 1]`."""
+    """List the pairs `about` each row: for row k from `starts[k]` to before `starts[k + 1]`."""
     starts[:] = 0
     for pair in range(i.size):
         starts[i[pair]] += 1
@@ -230,8 +236,7 @@ def _group(i: Array1[I64], j: Array1[I64], starts: Array1[I64], about: Array1[I6
 
 @called
 def _limit(radius: Array1[F64], stand: Stand, some: Array1[I64], count: I64, of_rows: Array2[F64]) -> None:
-    """How easily each of some rows is moved, how much it is in a heap, how far it may get and how far be
-    pushed."""
+    """Compute four values for some rows: mobility, degree of being in a dense cluster, and how far each may get and be pushed."""
     mass, yields, reach, deep, held, _, walked, _ = stand
     light, heap, most, room = of_rows[_LIGHT], of_rows[_HEAPED], of_rows[_MOST], of_rows[_ROOM]
     for k in independent(0, count):
@@ -257,8 +262,9 @@ def _look(
     alone: BOOL,
     room: Room,
 ) -> tuple[BOOL, I64]:
-    """One look and its sweeps, where so many pairs `touch`, for all about their rows or for these `alone`; says who has changed,
-    and whether anybody has; and how many rows it has looked at, which are the first of `some`."""
+    """Make one look and its sweeps, with `touch` touching pairs: for all pairs of their rows, or for these `alone`.
+
+    Writes which rows have changed. Returns whether any has, and how many rows were visited, listed first in `some`."""
     i, j, gap, way, which = pairs
     normal, walked, cut = stand[5], stand[6], stand[7]
     led, sums, of_rows, wholes, changed, numbers, ways, indices, starts, about = room

@@ -1,5 +1,5 @@
-"""A substep of a crowd in two loops over all agents: `set_out` does all before obstacles and walls, and for each kind of ground
-one loop walks agents and lets them arrive."""
+"""A substep of a crowd in two loops over all agents. `set_out` does everything before obstacles and walls. Then one loop for each
+kind of ground walks agents and updates them at their new positions."""
 
 from __future__ import annotations
 
@@ -36,9 +36,9 @@ _ZERO = _F(0)
 
 
 class Outset(NamedTuple):
-    """What agents are about to do: velocities, the `step` (mm) that is their way in `dt`, and the heading along the ground of
-    those who lean, `looking`. How long the step is, by what angle (radians) a body tilts at most, how far before it (mm) it looks
-    out for walls, and how bodies stand, `state`."""
+    """The intended motion of agents: velocities, the `step` (mm) in `dt`, and `looking`, the heading along the ground of agents
+    that lean. Also the length of the step, the largest tilt (radians), how far ahead (mm) it searches for walls, and how bodies
+    stand, `state`."""
 
     velocity: VectorColumns
     step: VectorColumns
@@ -50,7 +50,7 @@ class Outset(NamedTuple):
 
 
 class Held(NamedTuple):
-    """What is stored of agents that wait, see `walk`, and how it is with each agent."""
+    """Values of agents that wait, see `walk`, and the status of each agent."""
 
     reals: Array2[F64]
     wholes: Array2[I64]
@@ -70,8 +70,8 @@ def set_out(
     begin: I64,
     end: I64,
 ) -> tuple[F64, F64]:
-    """What agents from `begin` to before `end` are about to do after their push. `keeps`: whether `min_speed` counts. Gives the
-    longest step that is finite and the greatest size, -inf where none is a number."""
+    """Compute the intended motion of agents from `begin` to before `end` after their push. `keeps`: whether `min_speed` counts.
+    Returns the longest finite step and the greatest size, -inf if there is no number."""
     heading, up, normal = drive.heading, drive.up, drive.normal
     max_speed, max_turn, dt = abilities.max_speed, abilities.max_turn, times_of.dt
     to, step, looking, long, most, reach, state = outset
@@ -116,13 +116,13 @@ def stride(
     begin: I64,
     end: I64,
 ) -> tuple[I64, I64, I64]:
-    """`walk_all` over triangles by steps and headings in float32, from footings `at` to `placed` and `place` (3, n); those
-    who are there arrive as by `arrive`."""
+    """`walk_all` over triangles, by steps and headings in float32, from footings `at` to `placed` and `place` (3, n). Agents that
+    reach their end are updated as by `arrive`."""
     mesh, face, b1s, b2s, overs = at
     first, step, how = surface.first, arrival.step, held.how
     registers, heading, state = arrival.registers, arrival.registers.heading, arrival.bodies.state
     for group in range(begin - 8 * ROWS_AHEAD, end, 8):
-        # Columns are brought near, too: they are more than a processor by itself sees coming.
+        # Columns are prefetched, too: there are more of them than a processor prefetches automatically.
         k = group + 8 * ROWS_AHEAD
         for columns in (arrival.velocity, step, *registers, arrival.limits):
             for each in columns:
@@ -166,8 +166,8 @@ def stride(
 
 @kernel
 def glide(plane: Array1[F64], looking: VectorColumns, arrival: Arrival, place: Array2[F64], begin: I64, end: I64) -> None:
-    """Agents from `begin` to before `end` walk across the unit vector `plane` to points `place` (n, 3), and arrive there as by
-    `arrive`."""
+    """Walk agents from `begin` to before `end` perpendicular to the unit vector `plane` to points `place` (n, 3), and update them
+    as by `arrive`."""
     at, step, heading, state = arrival.old, arrival.step, arrival.registers.heading, arrival.bodies.state
     up = (plane[0], plane[1], plane[2])
     for i in independent(begin, end):

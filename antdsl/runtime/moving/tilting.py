@@ -1,11 +1,9 @@
-"""Bodies follow the ground that their feet are on: smoothly, no faster than they turn, and with the head out of what rises before
-them.
+"""Bodies follow the ground below their feet: smoothly, no faster than they turn, and with the head out of rises ahead.
 
-Feet are exact: their footing and the normal of what they are on (`Population.normal`) change at once, at an edge by any angle.
-The body's up and heading are turned towards them step by step, and are what frames hold; programs read and push along the feet's.
-Before a wall the body tilts ahead of the feet, a right angle
-over about its own length; where it cannot tilt as fast as it walks, the feet wait for it.
-"""
+Feet are exact: their footing and the normal below them (`Population.normal`) change at once, at an edge by any angle. The body's
+up and heading turn towards them step by step, and are what frames store. Programs read and push along those of the feet. Before a
+wall the body tilts ahead of the feet: a right angle over about its own length. If it cannot tilt as fast as it walks, the feet
+wait."""
 
 from __future__ import annotations
 
@@ -65,7 +63,7 @@ _WAITING = _F(0.05)  # of a velocity: retained by an agent that waits for its bo
 
 
 def settle(world: World, population: Population, rows: NDArray[np.intp]) -> None:
-    """Let the bodies of those who begin stand tilted as far as what rises before them asks, their heads out of it, at once."""
+    """Tilt new bodies at once as far as the rises ahead require, so that their heads are free."""
     n, now = len(population), population.now
     state, reach, rest = np.full(n, STANDS, np.int32), np.empty(n), np.zeros(n, np.float32)
     x, y, z = np.empty((3, n), np.float32)
@@ -75,8 +73,8 @@ def settle(world: World, population: Population, rows: NDArray[np.intp]) -> None
 
 
 def lay(population: Population, threads: int = 1) -> None:
-    """Show programs the heading and up of the feet, along the ground, while a step is made: a push ahead leads on, over whatever
-    edge the body tilts just then."""
+    """Show programs the heading and up of the feet, along the ground, during a step. So a push ahead continues over an edge while
+    the body tilts."""
     n, start, now = len(population), population.start, population.now
     (found,), lean = population.room("leaning", 1, (n,), np.int64), population.room("laid", 3, (3, n), np.float32)
     work = partial(_lay, population.normal, *_registers(start), *_registers(now), found, *lean)
@@ -85,7 +83,7 @@ def lay(population: Population, threads: int = 1) -> None:
 
 
 def stand_up(population: Population) -> None:
-    """Give the bodies back what `lay` took; an agent that got another heading meanwhile has that."""
+    """Restore the up and heading that `lay` replaced. An agent that got a new heading in between keeps it."""
     if population.laid is not None:
         _stand_up(*population.laid, *_registers(population.start), *_registers(population.now))
     population.laid = None
@@ -103,7 +101,7 @@ def _of(vectors: VectorColumns, i: I64) -> Vec3:
 
 @inlined
 def _across(v: Vec3, up: Vec3) -> Vec3:
-    """A unit vector across `up`, as near to v as can be; some where v says nothing."""
+    """Return a unit vector perpendicular to `up`, as near to v as possible; an arbitrary one if v has no direction."""
     flat = minus(v, times(up, dot(v, up)))
     size = np.sqrt(dot(flat, flat))
     if size > 1e-6:
@@ -121,14 +119,14 @@ def _leaning(up: VectorColumns, normal: Array2[F32], i: I64) -> BOOL:
 
 @inlined
 def _maximum(a: F32, b: F32) -> F32:
-    """As np.maximum of a number that may be NaN and one that is not."""
+    """Return the same as np.maximum of a number that may be NaN and one that is not."""
     return b if a <= b else a
 
 
 @called
 def _axis(one: Vec3, other: Vec3, ahead: Vec3) -> tuple[Vec3, F64, F64]:
-    """Axis of the least turn of one unit vector into another, and the cosine and sine of its angle. Near half a turn, whose axis
-    is anywhere, it goes over `ahead`."""
+    """Return the axis of the least rotation of one unit vector into another, and the cosine and sine of its angle. Near half a
+    turn, where the axis is undefined, the rotation goes over `ahead`."""
     axis, cosine = cross(one, other), min(max(dot(one, other), -1.0), 1.0)
     sine = np.sqrt(dot(axis, axis))
     if sine > _OPPOSITE or cosine > 0:
@@ -138,21 +136,21 @@ def _axis(one: Vec3, other: Vec3, ahead: Vec3) -> tuple[Vec3, F64, F64]:
 
 @called
 def _laid(heading: Vec3, one: Vec3, other: Vec3) -> Vec3:
-    """A heading across one normal, turned as that is turned into another."""
+    """Return a heading perpendicular to one normal, after the rotation that turns this normal into another."""
     axis, cosine, sine = _axis(one, other, heading)
     return _across(rotated(heading, axis, cosine, sine), other)
 
 
 @inlined
 def _nearer(gone: Vec3, wall: Vec3, ahead: Vec3) -> F64:
-    """By how much less a way leads along `ahead` to the wall from a place that is `gone` from the first."""
+    """Return by how much the distance to the wall along `ahead` shrinks after a displacement `gone`."""
     return dot(gone, wall) / min(dot(ahead, wall), -1e-3)
 
 
 @called
 def _tilted(n: Vec3, wall: Vec3, ahead: Vec3, angle: F64, far: F64, over: F64, gone: Vec3) -> Vec3:
-    """How a body should stand on ground of a normal, when it has `gone` so far: as it does, or before a wall tilted towards that
-    of the wall."""
+    """Return the up of a body on ground with a normal, after a displacement `gone`: this normal, or tilted towards that of the
+    wall ahead."""
     part = min(max(1.0 - (far - _nearer(gone, wall, ahead)) / over, 0.0), 1.0) * angle
     axis, cosine = cross(n, wall), dot(n, wall)
     sine = np.sqrt(dot(axis, axis))
@@ -180,8 +178,8 @@ def stood(
     looking: VectorColumns,
     state: Array1[I32],
 ) -> None:
-    """Body i as a step begins: by how much (radians) it tilts at `most` in a time, its `state` without walls, and if it leans its
-    heading along the ground, into `looking`."""
+    """Compute how body i stands at the start of a step: its tilt limit (radians) `most`, its `state` without walls, and, if it
+    leans, its heading along the ground, into `looking`."""
     walking = _maximum(max_speed[i], _ZERO) / (size[i] if size[i] > 0 else _ONE) * _RIGHT_ANGLE
     rate = _maximum(max_turn[i], _ZERO)
     if not rate < walking and rate == rate:
@@ -202,7 +200,7 @@ def settled(
     rows: Array1[I64], state: Array1[I32], normal: Array2[F32], looking: VectorColumns, walls: WallArrays,
     start_up: VectorColumns, start_heading: VectorColumns, now_up: VectorColumns, now_heading: VectorColumns,
 ) -> None:  # fmt: skip
-    """Let bodies of `rows` that have a wall before them by their `state` stand tilted for it."""
+    """Tilt the bodies of `rows` that have a wall ahead by their `state`."""
     wall, ahead, angle, far, over = walls
     for i in rows:
         j = state[i]
@@ -231,8 +229,10 @@ def _lay(
     begin: I64,
     end: I64,
 ) -> tuple[I64, I64]:
-    """Lay the headings of agents that lean, of agents from `begin` to before `end`: gives `begin` and how many lean; from
-    `begin` on their rows, and up, heading and the heading shown (3, n) of these in that order."""
+    """Replace the headings of leaning agents, from `begin` to before `end`, by those along the ground.
+
+    Returns `begin` and the number of leaning agents. From `begin` on, writes their rows, and their up, heading and displayed
+    heading (3, n) in that order."""
     count = begin
     for i in range(begin, end):
         if not _leaning(now_up, normal, i):
@@ -260,8 +260,7 @@ def _stand_up(
     now_up: VectorColumns,
     now_heading: VectorColumns,
 ) -> None:
-    """Write back up and heading of some rows; not a heading that is no longer the one `along` the ground, which they were
-    shown."""
+    """Restore up and heading of some rows, except a heading that is no longer the displayed one, `along` the ground."""
     for j in range(rows.size):
         i = rows[j]
         told = now_heading[0][i] != along[0, j] or now_heading[1][i] != along[1, j] or now_heading[2][i] != along[2, j]
@@ -285,8 +284,8 @@ def pace(
     begin: I64,
     end: I64,
 ) -> None:
-    """Change steps and velocities of agents from `begin` to before `end` such that bodies can follow: of those who lean or have
-    a wall before them, by their `state`."""
+    """Reduce steps and velocities of agents from `begin` to before `end` so that bodies can follow. This applies to agents that
+    lean or have a wall ahead, by their `state`."""
     wall, ahead, angle, far, over = walls
     zero = (0.0, 0.0, 0.0)
     for i in range(begin, end):
@@ -315,7 +314,7 @@ def pace(
 
 
 class Posture(NamedTuple):
-    """Up and heading of bodies, and where they are (n, 3)."""
+    """Up and heading of bodies, and their positions (n, 3)."""
 
     up: VectorColumns
     heading: VectorColumns
@@ -323,7 +322,7 @@ class Posture(NamedTuple):
 
 
 class TurnLimits(NamedTuple):
-    """By what angle bodies tilt at most, and how fast they turn, in `dt` seconds."""
+    """The tilt limit of bodies, and how fast they turn, in `dt` seconds."""
 
     most: Array1[F32]
     max_turn: Array1[F32]
@@ -345,9 +344,9 @@ def follow(
     begin: I64,
     end: I64,
 ) -> None:
-    """Turn bodies from `begin` to before `end` after their feet, whose up and heading are `now_up` and `now_heading`, which
-    change; by their `state` all but those that stand as their feet do. Feet have come from the `previous` place to `place`. Who
-    would turn its head into a wall tilts first. `rows` is memory for work."""
+    """Turn bodies from `begin` to before `end` after their feet, from `now_up` and `now_heading`, which change. Bodies with a
+    `state` that says they stand as their feet do are skipped. Feet have moved from the `previous` position to `place`. A body
+    that would turn its head into a wall tilts first. `rows` is a work buffer."""
     before_up, before_heading, before = previous
     most, max_turn, dt = limits
     wall, ahead, angle, far, over = walls

@@ -35,7 +35,7 @@ LEANS, STANDS, HASTENS = -1, -2, -3
 
 @cache
 def share(dt: np.float32) -> np.float32:
-    """Of the turn towards the movement: how much is done within a substep."""
+    """Return the share of the turn towards the movement that is done in a substep."""
     return _F(1.0 - float(elementary.exp(_F(-float(dt) / _HEADING_TIME))))
 
 
@@ -50,7 +50,7 @@ class Drive(NamedTuple):
 
 
 class Abilities(NamedTuple):
-    """Of agents, by the names that programs have for them."""
+    """Abilities of agents, by their names in programs."""
 
     max_speed: Array1[F32]
     max_force: Array1[F32]
@@ -60,7 +60,8 @@ class Abilities(NamedTuple):
 
 
 class PushTimes(NamedTuple):
-    """The longest response that takes its whole time in one substep, that time, and `dt`, that of others."""
+    """`at_once`: the longest response of agents with a push that acts for the whole step in the first substep. `first`: its time
+    in this substep, 0 in later ones. `dt`: the time of a push for other agents."""
 
     at_once: F32
     first: F32
@@ -76,7 +77,7 @@ class Limits(NamedTuple):
 
 
 class Bodies(NamedTuple):
-    """By what angle each may tilt, its state, and room for up and heading from before."""
+    """The tilt limit of each body, its state, and buffers for the previous up and heading."""
 
     most: Array1[F32]
     state: Array1[I32]
@@ -85,7 +86,7 @@ class Bodies(NamedTuple):
 
 
 class Times(NamedTuple):
-    """The longest response of who faces at once where it goes, the time, and the share of a turn that is done in it."""
+    """The longest response of agents that face their movement at once, the time, and the share of a turn that is done in it."""
 
     at_once: F32
     dt: F32
@@ -93,7 +94,7 @@ class Times(NamedTuple):
 
 
 class Facing(NamedTuple):
-    """Whether there are directions to face, these, and whether all bodies have to follow their feet."""
+    """Whether there are directions to face, the directions, and whether all bodies have to follow their feet."""
 
     is_set: BOOL
     direction: VectorColumns
@@ -110,7 +111,7 @@ class Registers(NamedTuple):
 
 
 class Arrival(NamedTuple):
-    """What agents arrive with: positions (n, 3), steps and velocities from before the walk, and where results go, of the up also
+    """The input of `arrive`: positions (n, 3), steps and velocities from before the walk, and the arrays for results; for up also
     `normals` (n, 3)."""
 
     old: Strided2[F64]
@@ -125,7 +126,7 @@ class Arrival(NamedTuple):
 
 
 class Walked(NamedTuple):
-    """Place, up, heading and direction (3, n) of a walk, and who is blocked."""
+    """Position, up, heading and direction (3, n) after a walk, and which agents are blocked."""
 
     place: Strided2[F64]
     up: Strided2[F64]
@@ -138,7 +139,7 @@ class Walked(NamedTuple):
 def pushed(
     drive: Drive, up: Vec3F32, abilities: Abilities, keeps: BOOL, min_speed: Array1[F32], times_of: PushTimes, i: I64
 ) -> Vec3F32:
-    """The velocity of agent i after its push along the ground, whose `up` is given, within the limits of speed and turn: see
+    """Return the velocity of agent i after its push along the ground with normal `up`, within the limits of speed and turn: see
     `strides.set_out`."""
     push, velocity, heading, _, _ = drive
     max_speed, max_force, mass, response, max_turn = abilities
@@ -168,8 +169,8 @@ def pushed(
 
 @inlined
 def _quickened(velocity: Vec3F32, before: Vec3F32, heading: Vec3F32, least: F32) -> Vec3F32:
-    """Velocity of at least a speed: an agent that would be slower continues the way that it went `before`, from a stand along its
-    heading, by as much as makes up for it. A sideways push turns it, and braking never turns it round."""
+    """Raise a velocity to a least speed. A slower agent continues in its direction `before` (from rest: along its heading), by as
+    much as is missing. A sideways push turns it; braking never reverses it."""
     square = dot(velocity, velocity)
     if not square < least * least:
         return velocity
@@ -185,7 +186,8 @@ def _quickened(velocity: Vec3F32, before: Vec3F32, heading: Vec3F32, least: F32)
 
 @called
 def _turned(velocity: Vec3F32, before: Vec3F32, up: Vec3F32, most: F32) -> Vec3F32:
-    """The velocity turned by at most `most` (radians) from before, at its own speed; from a stand it may have any direction."""
+    """Return the velocity turned by at most `most` (radians) from the previous one, at its own speed. From rest it may have any
+    direction."""
     if not length(before) > 0:
         most = _F(4.0)
     ahead, good = _unit(before)
@@ -209,7 +211,7 @@ def _turned(velocity: Vec3F32, before: Vec3F32, up: Vec3F32, most: F32) -> Vec3F
 
 @inlined
 def arrived(i: I64, pose: Pose, blocked: BOOL, arrival: Arrival) -> None:
-    """Gives agent i the place, up, heading and direction that its walk has led to, in float64: see `arrive`."""
+    """Write the position, up, heading and direction of agent i after its walk, in float64: see `arrive`."""
     place, above, ahead, direction = pose
     old, step, velocity, limits, bodies, times_of, facing, registers, normals = arrival
     max_speed, max_turn, response = limits
@@ -252,9 +254,10 @@ def arrived(i: I64, pose: Pose, blocked: BOOL, arrival: Arrival) -> None:
 
 @kernel
 def arrive(rows: Array1[I64], walked: Walked, arrival: Arrival, begin: I64, end: I64) -> None:
-    """Velocity and heading of `rows` from `begin` to before `end` where the walk has led, with place and up, into the registers.
-    Bodies whose up turns by more than `most` (radians), or that turn by more than `max_turn` allows and `BEYOND` that, get a
-    `state` that says so, and of who does not stand as its feet do the up and heading from before are kept there."""
+    """Write velocity, heading, position and up of `rows` from `begin` to before `end` after the walk into the registers. Bodies
+    get a `state` that says so in two cases. Either their up turns by more than `most` (radians), or they turn by more than
+    `BEYOND` times `max_turn` allows. For bodies that do not stand as their feet do, the previous up and heading are stored
+    there."""
     place, above, ahead, direction, blocked = walked
     for j in range(begin, end):
         i = rows[j]
@@ -269,7 +272,8 @@ def arrive(rows: Array1[I64], walked: Walked, arrival: Arrival, begin: I64, end:
 
 @inlined
 def _squared_angle(square: F32) -> F32:
-    """The square of an angle, by the first terms of its series in the squared chord of unit vectors: less beyond 1 rad."""
+    """Return the square of an angle, by the first terms of its series in the squared chord of unit vectors. Beyond 1 rad the
+    result is too small."""
     return square * (_ONE + square * (TWELFTH + square * NINETIETH))
 
 
@@ -287,8 +291,9 @@ def _faced(
     dt: F32,
     part: F32,
 ) -> Vec3F32:
-    """The heading turned towards the movement or the direction to face: by a `part` of the turn or at once, and with the body's
-    tilt, whose squared angle is given, no faster than max_turn. Over a right angle it turns towards its side first."""
+    """Return the heading turned towards the movement or the direction to face: by a `part` of the turn or at once. Together with
+    the body's tilt (`tilt`, its squared angle), it turns no faster than max_turn. Beyond a right angle it turns towards its side
+    first."""
     heading, good = _unit(flat(heading, up))
     if not good:
         heading = _across(up)
@@ -328,7 +333,7 @@ def _faced(
 
 @inlined
 def maximum(a: F32, b: F32) -> F32:
-    """The first number's NaN is kept, as NumPy does."""
+    """Return the greater number; a NaN of the first is propagated, as in NumPy."""
     return b if a <= b else a
 
 

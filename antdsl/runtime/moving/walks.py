@@ -1,4 +1,4 @@
-"""Agents that walk as the scene says: straight on at one speed for a length, sensing and deciding nothing (P18)."""
+"""Agents that walk as the scene says: straight on at one speed for a length, without senses or decisions (P18)."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ _F = np.float32
 
 
 def walks_of(world: World, population: Population) -> dict[int, WalkData]:
-    """The walks of a species by the number of the crowd's line that has one."""
+    """Return the walks of a species by the number of the crowd's line."""
     found = {}
-    for crowd in world.setting.crowds:  # which is done a few times in each step: most scenes lead nobody
+    for crowd in world.setting.crowds:  # runs a few times in each step: most scenes guide no agents
         if crowd.walk is not None and crowd.species == population.name:
             found[crowd.group] = crowd.walk
     return found
@@ -31,14 +31,15 @@ def is_led(world: World, population: Population) -> NDArray[np.bool_]:
 
 
 def awake(world: World, population: Population) -> Rows | None:
-    """The rows of those who sense and decide for themselves; None where all do."""
+    """Return the rows of agents that sense and decide for themselves; None for all."""
     if not walks_of(world, population):
         return None
     return np.flatnonzero(~is_led(world, population) & ~population.quarantined)
 
 
 def set_out(world: World, population: Population, rows: Rows) -> None:
-    """Turn those of `rows` whom the scene leads to their way along the ground, at its speed, which may be above their own."""
+    """Turn those of `rows` that the scene guides to their direction along the ground, at the scene's speed, which may exceed
+    their own."""
     now, start = population.now, population.start
     for group, walk in walks_of(world, population).items():
         own = rows[now["group"][rows] == group]
@@ -52,8 +53,8 @@ def set_out(world: World, population: Population, rows: Rows) -> None:
 
 
 def led(world: World, population: Population, velocity: Vector, up: Vector) -> Vector:
-    """Velocities, of those whom the scene leads such that they go on where they went, at its speed, as far as it says since they
-    were born; then they stand."""
+    """Return velocities in which agents guided by the scene continue in their direction, at the scene's speed. They stop after
+    the scene's distance since their birth."""
     found = velocity
     for group, walk in walks_of(world, population).items():
         own = np.flatnonzero(population.now["group"] == group)

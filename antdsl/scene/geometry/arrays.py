@@ -26,16 +26,17 @@ _NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.\-#>|/]*", re.ASCII)
 
 
 class ArrayFileError(Exception):
-    """Why a file is not one of ours, or not whole, in words that fit after its name."""
+    """Why a file is not in our format, or not complete, in words that fit after its name."""
 
 
 def read_arrays(data: bytes) -> dict[str, NDArray[Any]]:
-    """All arrays of an NPZ file's bytes, checksums compared; ArrayFileError says what is wrong."""
+    """Return all arrays of an NPZ file's bytes, with checksums compared. Raises ArrayFileError with the reason."""
     return read_archive(io.BytesIO(data), len(data))
 
 
 def read_archive(file: IO[bytes], size: int, only: Container[str] | None = None) -> dict[str, NDArray[Any]]:
-    """As `read_arrays`, of an open file of `size` bytes. `only`: the names that are wanted; the bytes of others are not read."""
+    """Read an archive as `read_arrays` does, from an open file of `size` bytes. `only`: the names to read; the bytes of others
+    are skipped."""
     try:
         with zipfile.ZipFile(file) as archive:
             return _members(archive, size, only)
@@ -45,7 +46,7 @@ def read_archive(file: IO[bytes], size: int, only: Container[str] | None = None)
 
 
 def _members(archive: zipfile.ZipFile, size: int, only: Container[str] | None) -> dict[str, NDArray[Any]]:
-    """The arrays of an open archive of `size` bytes; ArrayFileError, or an error of zipfile's own, says what is wrong."""
+    """Return the arrays of an open archive of `size` bytes. Raises ArrayFileError, or an error of zipfile, with the reason."""
     entries = archive.infolist()
     if len(entries) > MEMBERS:
         raise ArrayFileError(f"has {len(entries):,} arrays, more than {MEMBERS:,}")
@@ -66,7 +67,7 @@ def _members(archive: zipfile.ZipFile, size: int, only: Container[str] | None) -
 
 
 def parse_npy(data: bytes, name: str) -> NDArray[Any]:
-    """One array from the bytes of an .npy file, version 1; the shape is held against the number of bytes before use."""
+    """Return one array from the bytes of an .npy file, version 1. The shape is checked against the number of bytes before use."""
     if not data.startswith(MAGIC) or len(data) < 10:
         raise ArrayFileError(f"has an array `{name}` of an unknown kind")
     length = int.from_bytes(data[8:10], "little")
@@ -81,6 +82,6 @@ def parse_npy(data: bytes, name: str) -> NDArray[Any]:
 
 
 def to_float64(values: NDArray[Any]) -> NDArray[np.float64]:
-    """A copy as float64. NumPy would warn of a signalling NaN in it; readers check that values are finite."""
+    """Return a copy as float64, without NumPy's warning for signalling NaNs. Readers check that values are finite."""
     with np.errstate(invalid="ignore"):
         return values.astype(np.float64)

@@ -1,4 +1,5 @@
-"""Whether triangles close to a body, and which of their sides is outside: how often each edge is passed, and which way."""
+"""Whether triangles form a closed body, and which of their sides is outside: by how often, and in which direction, each edge is
+traversed."""
 
 from __future__ import annotations
 
@@ -23,7 +24,8 @@ _WELD = 16.0  # so that what lies nearer than a millionth of the extent is one p
 
 
 def grained(corners: Floats) -> tuple[Index, int]:
-    """Corners float64[n,3,3] in voxels as whole numbers, and how many of these a voxel is: what lies nearer is one place."""
+    """Return corners float64[n,3,3], in voxels, as integers, and how many units a voxel has. Corners nearer than a unit
+    coincide."""
     extent = max(float(np.abs(corners).max()), 1.0)
     # Products of two sides stay below 2**62.
     grain = 1 << min(16, 29 - math.ceil(math.log2(extent)))
@@ -31,19 +33,20 @@ def grained(corners: Floats) -> tuple[Index, int]:
 
 
 def open_edges(corners: Index) -> tuple[int, bool]:
-    """How many edges an odd number of triangles share, and whether each is passed as often one way as the other.
+    """Return how many edges an odd number of triangles share, and whether each edge is traversed equally often in both
+    directions.
 
-    `corners` (n, 3, 3): corners of triangles as whole numbers; those at one place are one."""
+    `corners` (n, 3, 3): corners of triangles as integers; equal positions are one corner."""
     _, way, first, count = _edges(corners)
     ways = np.add.reduceat(way, first) if len(way) else np.zeros(0)
     return int((count % 2).sum()), not ways.any()
 
 
 def inside_out(vertices: Floats, faces: NDArray[np.int32]) -> tuple[int, int]:
-    """How many closed pieces of a mesh look inward, and how many have faces that look the other way than those beside them.
+    """Return how many closed pieces of a mesh face inward, and how many have faces that are oriented unlike their neighbours.
 
-    What hangs together across edges of two faces is a piece. One that looks inward within the box about another is a hollow of
-    it, as it should be."""
+    A piece is connected across edges of two faces. A piece that faces inward inside the box of another is a correct hollow of
+    it."""
     if not len(faces):
         return 0, 0
     corners = vertices[faces]
@@ -69,7 +72,7 @@ def inside_out(vertices: Floats, faces: NDArray[np.int32]) -> tuple[int, int]:
 
 
 def _joined(n: int, one: Index, two: Index) -> Index:
-    """For each of n nodes the least one that edges join it to (S. Zhang et al., FastSV, SIAM PP 2020)."""
+    """Return for each of n nodes the least node that edges connect it to (S. Zhang et al., FastSV, SIAM PP 2020)."""
     label = np.arange(n)
     while (apart := label[one] != label[two]).any():
         one, two = one[apart], two[apart]
@@ -81,8 +84,8 @@ def _joined(n: int, one: Index, two: Index) -> Index:
 
 
 def _edges(corners: Index) -> tuple[Index, Index, Index, Index]:
-    """All sides of triangles, those of one edge one after the other: their triangle, whether they are passed one way (1) or the
-    other (-1), and for each edge the first of its sides and how many there are."""
+    """Return all sides of triangles, sorted by edge: their triangle and their direction (1 or -1); and for each edge its first
+    side and its number of sides."""
     points = corners.reshape(-1, 3)
     order = np.lexsort(points.T)
     ranked = points[order]
@@ -106,7 +109,7 @@ def _sides(mesh: MeshData) -> tuple[int, int]:
 
 
 def check_sides(staging: Staging, name: str, mesh: MeshData) -> None:
-    """Warn of an obstacle of which parts look inward: agents would be kept in there and not out."""
+    """Warn of an obstacle with parts that face inward: agents would be held inside instead of outside."""
     inward, mixed = _sides(mesh)
     if inward or mixed:
         words = f"parts of the obstacle `{name}` look inward" if inward else f"faces of the obstacle `{name}` look either way"
@@ -116,7 +119,7 @@ def check_sides(staging: Staging, name: str, mesh: MeshData) -> None:
 
 @once_a_mesh
 def border_edges(mesh: MeshData) -> int:
-    """How many edges of a mesh belong to one triangle alone."""
+    """Return how many edges of a mesh belong to exactly one triangle."""
     corners = mesh.vertices[mesh.faces]
     found = stored_tables.stored("border edges", len(corners), (corners,), partial(_border_edges, corners))
     return int(found["count"][0])
@@ -129,8 +132,8 @@ def _border_edges(corners: Floats) -> stored_tables.Tables:
 
 
 def odd_edges(vertices: Floats, faces: NDArray[np.int32], grain: float) -> tuple[Index, Floats]:
-    """The edges (k, 2) that an odd number of faces share, as numbers of places; and the places (p, 3). Corners nearer than about
-    `grain` are at one place."""
+    """Return the edges (k, 2) that an odd number of faces share, as indices of positions, and the positions (p, 3). Corners
+    nearer than about `grain` coincide."""
     corners = vertices[faces].reshape(-1, 3)
     cells = grained((corners - corners.min(axis=0)).reshape(-1, 3, 3) / grain)[0].reshape(-1, 3)
     _, first, name = np.unique(cells, axis=0, return_index=True, return_inverse=True)
@@ -141,7 +144,7 @@ def odd_edges(vertices: Floats, faces: NDArray[np.int32], grain: float) -> tuple
 
 
 def open_solid_edges(solid: SolidData) -> int:
-    """How many edges keep a solid from having an inside: an odd number of triangles share each."""
+    """Return how many edges prevent a solid from having an inside: an odd number of triangles share each."""
     corners = solid.mesh.vertices[solid.mesh.faces]
     loose, _ = open_edges(grained((corners - corners.min(axis=(0, 1))) / solid.voxel)[0])
     return loose

@@ -1,5 +1,5 @@
-"""A glTF 2.0 file (.gltf, .glb) as its JSON and its accessors as arrays: counts, offsets and sizes are held against the buffers
-and the limits before anything is allocated. Khronos Group, glTF 2.0 Specification, 2021, sections 3.6 and 4."""
+"""Reader of glTF 2.0 files (.gltf, .glb): the JSON, and the accessors as arrays. Counts, offsets and sizes are checked against
+the buffers and the limits before anything is allocated. Khronos Group, glTF 2.0 Specification, 2021, sections 3.6 and 4."""
 
 from __future__ import annotations
 
@@ -37,8 +37,8 @@ _HARMLESS = (
 
 
 class GltfError(Exception):
-    """Why a file cannot be used, in words that fit after its name. `code`: a diagnostic's, where it is not the reader's usual
-    one; `help`: what to do instead."""
+    """Why a file cannot be used, in words that fit after its name. `code`: a diagnostic's code, if it is not the reader's usual
+    one. `help`: what to do instead."""
 
     def __init__(self, message: str, help: str | None = None, code: str = "") -> None:
         super().__init__(message)
@@ -46,10 +46,10 @@ class GltfError(Exception):
 
 
 class Gltf:
-    """The file's JSON with checked access: every index and kind that is asked for is looked at, GltfError says what is wrong."""
+    """The file's JSON with checked access: every requested index and kind is validated. Raises GltfError with the reason."""
 
     def __init__(self, data: bytes, beside: Callable[[str, int], bytes]) -> None:
-        """`beside(path, cap)` reads a file that lies beside this one, of at most `cap` bytes."""
+        """`beside(path, cap)` reads a file in the same folder, of at most `cap` bytes."""
         text, self._binary = _parts(data)
         self.tree = _parsed(text)
         self._beside = beside
@@ -91,7 +91,7 @@ class Gltf:
         return found
 
     def index(self, holder: dict[str, Any], key: str, count: int) -> int | None:
-        """A number of one of `count` things, None where none is given."""
+        """Return an index into `count` things, or None if the key is absent."""
         return None if key not in holder else self.number_of(holder[key], key, count)
 
     def number_of(self, value: Any, what: str, count: int) -> int:
@@ -101,13 +101,13 @@ class Gltf:
         return value
 
     def top(self, key: str) -> list[dict[str, Any]]:
-        """A list of the file itself, such as `nodes`, looked through once."""
+        """Return a top-level list of the file, such as `nodes`, checked on first use."""
         if key not in self._tops:
             self._tops[key] = self.objects(self.tree, key)
         return self._tops[key]
 
     def floats(self, holder: dict[str, Any], key: str, otherwise: tuple[float, ...]) -> NDArray[np.float64]:
-        """As many numbers as `otherwise` has, which stands for what is not there."""
+        """Return as many numbers as `otherwise` has, which is the default for an absent key."""
         found = holder.get(key, otherwise)
         right = isinstance(found, list | tuple) and len(found) == len(otherwise)
         if not right or not all(isinstance(x, int | float) and not isinstance(x, bool) and abs(x) < 1e30 for x in found):
@@ -124,7 +124,7 @@ class Gltf:
     # ---- arrays
 
     def accessor(self, number: Any, width: int | None = None) -> NDArray[Any]:
-        """The values (count, width) of an accessor: float64 for floats and for what stands for shares, int64 otherwise."""
+        """Return the values (count, width) of an accessor: float64 for floats and for normalized integers, int64 otherwise."""
         accessors = self.top("accessors")
         number = self.number_of(number, "accessor", len(accessors))
         if number not in self._kept:
@@ -223,7 +223,7 @@ def _plain(value: Any) -> int:
 
 
 def _parts(data: bytes) -> tuple[bytes, bytes | None]:
-    """The JSON of a file and, of a .glb, its binary chunk."""
+    """Return the JSON of a file and, for a .glb, its binary chunk."""
     if data[:4] != b"glTF":
         return data, None
     if len(data) < 20:
@@ -269,7 +269,7 @@ def _no_number(word: str) -> float:
 
 
 def node_parents(file: Gltf) -> list[int]:
-    """The parent of each node, -1 for a root; GltfError where they are no tree."""
+    """Return the parent of each node, -1 for a root. Raises GltfError if the nodes are not a tree."""
     nodes = file.top("nodes")
     if len(nodes) > _NODES:
         raise GltfError(f"has {len(nodes):,} nodes, more than are read", code="too-large")
@@ -296,14 +296,14 @@ def node_parents(file: Gltf) -> list[int]:
 
 
 def scene_roots(file: Gltf) -> list[int]:
-    """The nodes that the file's scene begins with; none where it has no scene."""
+    """Return the root nodes of the file's scene; none if it has no scene."""
     nodes, scenes = file.top("nodes"), file.top("scenes")
     scene = file.index(file.tree, "scene", len(scenes)) or 0
     return [file.number_of(root, "node", len(nodes)) for root in file.listed(scenes[scene], "nodes")] if scenes else []
 
 
 def nodes_below(file: Gltf, roots: Iterable[int]) -> list[int]:
-    """The nodes and all below them, parents first, children in the order of the file."""
+    """Return the nodes and all their descendants, parents first, children in the order of the file."""
     nodes, found = file.top("nodes"), []
     seen: set[int] = set()
     waiting = list(reversed(list(roots)))
@@ -320,8 +320,8 @@ def nodes_below(file: Gltf, roots: Iterable[int]) -> list[int]:
 
 
 def primitive_triangles(file: Gltf, primitive: dict[str, Any], points: int) -> tuple[NDArray[np.int64], int]:
-    """Triangles (n, 3) of a primitive with so many points: of a list, a strip or a fan. And how many corners are left over at its
-    end, too few for a triangle."""
+    """Return the triangles (n, 3) of a primitive with `points` points: a list, a strip or a fan. Also return how many corners
+    remain at the end, too few for a triangle."""
     corners = file.accessor(primitive["indices"], 1)[:, 0].astype(np.int64) if "indices" in primitive else np.arange(points)
     mode = primitive.get("mode", TRIANGLES)
     if mode == STRIP:

@@ -1,4 +1,4 @@
-"""The meshes of a glTF file (.gltf, .glb) as one, in metres with y up: every node's transform, triangles, strips and fans.
+"""All meshes of a glTF file (.gltf, .glb) as one, in metres with y up: the transform of every node, triangles, strips and fans.
 Khronos Group, glTF 2.0 Specification, 2021, sections 3.5 and 3.7."""
 
 from __future__ import annotations
@@ -37,9 +37,10 @@ _MODES = ("points", "lines", "lines", "lines")
 
 
 def read_gltf_mesh(data: bytes, notes: ImportNotes, part: str | None, beside: Beside) -> PolygonMesh:
-    """All meshes of the file's scene, of a `part` those at and below the nodes of that name (or with a mesh of that name).
+    """Return all meshes of the file's scene. With `part`, only those at and below the nodes of that name (or with a mesh of that
+    name).
 
-    `beside(path, cap)` reads a file next to it. MeshError says what is wrong."""
+    `beside(path, cap)` reads a file in the same folder. Raises MeshError with the reason."""
     notes.form = "binary glTF" if data[:4] == b"glTF" else "glTF"
     try:
         with np.errstate(all="ignore"):
@@ -100,7 +101,7 @@ def _is_hidden(file: Gltf, node: dict[str, Any]) -> bool:
 
 
 def _tops(numbers: list[int], parents: list[int]) -> list[int]:
-    """Those of some nodes that are below no other of them."""
+    """Return the nodes that are not descendants of another one in the list."""
     some, found = set(numbers), []
     for number in numbers:
         above = parents[number]
@@ -112,7 +113,7 @@ def _tops(numbers: list[int], parents: list[int]) -> list[int]:
 
 
 def _way(file: Gltf, node: dict[str, Any]) -> Floats:
-    """The way (3, 4) from a node's space to that of its parent."""
+    """Return the transform (3, 4) from a node's space to that of its parent."""
     if "matrix" in node:
         return file.floats(node, "matrix", tuple(np.eye(4).ravel())).reshape(4, 4).T[:3]
     return of_parts(
@@ -123,7 +124,7 @@ def _way(file: Gltf, node: dict[str, Any]) -> Floats:
 
 
 def _named(file: Gltf, shown: list[int], part: str) -> set[int]:
-    """The nodes of a name, or whose mesh has it, and all below them."""
+    """Return the nodes that have a name, or have a mesh of that name, and all nodes below them."""
     from antdsl.diagnostics.suggestion import nearest_name
 
     nodes, meshes = file.top("nodes"), file.top("meshes")
@@ -145,7 +146,7 @@ def _named(file: Gltf, shown: list[int], part: str) -> set[int]:
 
 
 def _primitive(file: Gltf, primitive: dict[str, Any], notes: ImportNotes) -> tuple[Floats, NDArray[np.int64]] | None:
-    """The points and triangles of a primitive; None, and a note, where it has none that are read."""
+    """Return the points and triangles of a primitive. If it has none that can be read, return None and add a note."""
     mode = primitive.get("mode", TRIANGLES)
     if mode not in (TRIANGLES, STRIP, FAN):
         known = isinstance(mode, int) and not isinstance(mode, bool) and 0 <= mode < len(_MODES)

@@ -1,5 +1,5 @@
-"""Heights in rows and columns to a surface of triangles: 16-bit grey images and arrays. Sizes are held against the limits before
-anything is unpacked."""
+"""Surfaces of triangles from heights in rows and columns: 16-bit grey images and arrays. Sizes are checked against the limits
+before anything is unpacked."""
 
 from __future__ import annotations
 
@@ -21,9 +21,11 @@ _GREY = 65535.0  # the sample of a 16-bit image that is 1
 
 
 def read_heights(data: bytes, name: str, array: str | None = None, layer: int | None = None) -> Floats:
-    """Samples float64[rows, columns] of a file's bytes: of a 16-bit image from 0 to 1, of one of floats and of an array as they
-    are. `array` names one of an .npz file, where it has several; `layer` is the first index of one with three dimensions.
-    MeshError says what is wrong."""
+    """Return the samples float64[rows, columns] of a file's bytes: from 0 to 1 for a 16-bit image, unchanged for a float image or
+    an array.
+
+    `array`: the name of one in an .npz file, if it has several. `layer`: the first index, if the array has three dimensions.
+    Raises MeshError with the reason."""
     kind = name.rsplit(".", 1)[-1].lower() if "." in name else ""
     if kind == "npz":
         samples = _array(data, array, layer)
@@ -91,8 +93,10 @@ def _within(rows: int, columns: int) -> None:
 
 
 def surface_of(heights: Floats, extent: tuple[float, float]) -> tuple[Floats, NDArray[np.int64]]:
-    """Vertices (n, 3) and faces (m, 3) of heights [rows, columns] over an extent in x and z about the origin, y up, faces seen
-    from above. A vertex is a sample, row after row: columns go along +x, rows along +z, as a picture that is seen from above."""
+    """Return vertices (n, 3) and faces (m, 3) of heights [rows, columns] over an extent in x and z, centred at the origin, y up.
+    The front of faces is above.
+
+    Vertices are samples, row by row: columns go along +x, rows along +z, like a picture seen from above."""
     rows, columns = heights.shape
     x = -extent[0] / 2 + np.arange(columns) * (extent[0] / (columns - 1))
     z = -extent[1] / 2 + np.arange(rows) * (extent[1] / (rows - 1))
@@ -105,7 +109,7 @@ def surface_of(heights: Floats, extent: tuple[float, float]) -> tuple[Floats, ND
 
 
 def deviation(heights: Floats) -> float:
-    """How far the triangles lie from the bilinear surface through the samples, at most: in the middle of a cell, by a fourth of
-    its twist."""
+    """Return the largest distance of the triangles from the bilinear surface through the samples: in the middle of a cell, a
+    fourth of its twist."""
     twist = heights[:-1, :-1] - heights[:-1, 1:] - heights[1:, :-1] + heights[1:, 1:]
     return float(np.abs(twist).max()) / 4

@@ -1,4 +1,4 @@
-"""What reading a mesh file left out, cut up or joined: a report for the person who imports it."""
+"""What reading a mesh file left out, cut or joined: a report for the user who imports it."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 
 @dataclass(slots=True)
 class Skipped:
-    """Something in a file that is not read: how often, and the line of the first, where the file has lines."""
+    """Something in a file that is not read: how often, and the line of its first occurrence if the file has lines."""
 
     what: str
     count: int = 0
@@ -17,8 +17,8 @@ class Skipped:
 
 @dataclass(slots=True)
 class ImportNotes:
-    """Notes on one mesh file. `cut` polygons had more than three corners, `concave` of them have a corner that points
-    inward; `crossing` cut or cover themselves, the first of them is the face `crossing_face`."""
+    """Notes on one mesh file. `cut`: polygons with more than three corners; `concave`: those of them with a corner that points
+    inward. `crossing`: polygons that cut or cover themselves; the first is the face `crossing_face`."""
 
     form: str = ""
     vertices: int = 0
@@ -52,11 +52,11 @@ Triple = tuple[float, float, float]
 
 @dataclass(frozen=True, slots=True)
 class MeshImport:
-    """The report on one mesh of a scene: what its file has, what was changed, and where it lies, in scene units.
+    """The report on one mesh of a scene: the contents of its file, what was changed, and its location, in scene units.
 
-    `polygons` had more than three corners, `concave` and `crossing` of them as in `ImportNotes`; `dropped` triangles had no area
-    or were doubled; `welded` vertices were moved onto others; `left` triangles are in the scene, None where that is not known;
-    `border_edges` have one triangle alone."""
+    `polygons`: those with more than three corners; `concave` and `crossing` as in `ImportNotes`. `dropped`: triangles without an
+    area or with a duplicate. `welded`: vertices moved onto others. `left`: triangles in the scene, None if unknown.
+    `border_edges`: edges with exactly one triangle."""
 
     file: str
     form: str

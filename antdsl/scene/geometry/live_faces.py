@@ -1,5 +1,5 @@
-"""Which triangles of a surface are ground: the rule of scenes and of the ground itself. A triangle is dead where it is a line,
-where two of its corners are at one place, or where another triangle has the same three corners."""
+"""Which triangles of a surface are ground: the rule of scenes and of the ground itself. A triangle is not ground if it is a line,
+if two of its corners coincide, or if another triangle has the same three corners."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ _TRIED = 8  # faces that are looked at before all are
 
 
 def has_area(a: Floats, b: Floats, c: Floats) -> NDArray[np.bool_]:
-    """Whether triangles with corners a, b, c (m, 3) are more than a line."""
+    """Return whether triangles with corners a, b, c (m, 3) are more than a line."""
     area = _length(np.cross(b - a, c - a))
     longest = np.maximum.reduce([_length(edge) for edge in (b - a, c - a, c - b)])
     return np.asarray((area > _FLAT * longest * longest) & (area > 0))
 
 
 def live_faces(numbers: Ints, a: Floats, b: Floats, c: Floats) -> NDArray[np.bool_]:
-    """Whether faces with corners a, b, c (m, 3) are ground; `numbers` are their `corner_numbers`."""
+    """Return whether faces with corners a, b, c (m, 3) are ground. `numbers`: the result of `corner_numbers`."""
     live = has_area(a, b, c)
     key = np.sort(numbers, axis=1)
     live &= (key[:, 0] != key[:, 1]) & (key[:, 1] != key[:, 2])
@@ -36,9 +36,9 @@ def live_faces(numbers: Ints, a: Floats, b: Floats, c: Floats) -> NDArray[np.boo
 
 
 def has_live_face(vertices: Floats, faces: Ints, extent: float) -> bool:
-    """Whether any face of one mesh is ground, where all surfaces together are `extent` wide.
+    """Return whether any face of a mesh is ground. `extent`: the width of all surfaces together.
 
-    Most often one of its largest faces has corners far from all others, which is found without numbering all corners."""
+    Usually one of the largest faces has corners far from all others, so that not all corners need numbers."""
     a, b, c = (vertices[faces[:, k]] for k in range(3))
     area = np.where(has_area(a, b, c), _length(np.cross(b - a, c - a)), 0.0)
     room = _APART * extent * _JOINED
@@ -60,7 +60,7 @@ def _length(v: Floats) -> Floats:
 
 
 def corner_numbers(vertices: Floats, faces: Ints, mesh: Ints, extent: float) -> Ints:
-    """Numbers int32[m, 3] of the corners of faces in which those at one place of one mesh are one.
+    """Return numbers int32[m, 3] of the corners of faces: corners of one mesh at one position share a number.
 
     `vertices` float64[n, 3]; `faces` int32[m, 3]; `mesh` int32[m]: the mesh of each face; `extent`: of all meshes together."""
     grain = max(extent * _JOINED, 1e-300)
@@ -76,8 +76,8 @@ def corner_numbers(vertices: Floats, faces: Ints, mesh: Ints, extent: float) -> 
 
 
 def components(pairs: NDArray[np.int64], count: int) -> NDArray[np.int32]:
-    """A number for each of `count` things, the same for those that `pairs` (k, 2) join, directly or by others between them:
-    ascending from 0 with the first of each."""
+    """Return the connected component of each of `count` things, which `pairs` (k, 2) connect. Components are numbered from 0, in
+    the order of their first members."""
     parent = np.arange(count)
     one, two = pairs[:, 0], pairs[:, 1]
     while one.size:  # each round leaves at most half of the roots that are joined with others
@@ -92,7 +92,8 @@ def components(pairs: NDArray[np.int64], count: int) -> NDArray[np.int32]:
 
 
 def _touching(places: Floats, owner: Ints, cell: NDArray[np.int64], grain: float) -> NDArray[np.int64]:
-    """Numbers of cells, one for those of an owner that have corners nearer than `grain` on both sides of a border of cells."""
+    """Return cell numbers in which cells of one owner share a number if they have corners nearer than `grain` across their
+    border."""
     begin = np.unique(cell, return_index=True)[1]
     near = np.stack(pairs_within(places[begin], grain), axis=1)
     near = near[owner[begin][near[:, 0]] == owner[begin][near[:, 1]]]

@@ -1,5 +1,5 @@
-"""Ways from one space to another as matrices (…, 3, 4): a turn and scale, and a shift. Sums are written out, so that every point
-gets the same bits whatever the number of points."""
+"""Transforms from one space to another as matrices (…, 3, 4): rotation and scale, and a shift. Sums are explicit, so that every
+point gets the same bits for any number of points."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ _TURN = Decimal("6.2831853071795864769252867665590057683943387987502116419498891
 
 
 def still(*shape: int) -> Floats:
-    """Ways (*shape, 3, 4) that leave everything where it is."""
+    """Return identity transforms (*shape, 3, 4)."""
     made = np.zeros((*shape, 3, 4))
     made[..., [0, 1, 2], [0, 1, 2]] = 1.0
     return made
 
 
 def of_parts(translation: Floats, rotation: Floats, scale: Floats) -> Floats:
-    """The way (3, 4) that scales, then rotates by a quaternion x y z w of any length, then shifts."""
+    """Return the transform (3, 4) that scales, then rotates by a quaternion x y z w of any length, then shifts."""
     x, y, z, w = rotation / max(float(np.sqrt((rotation * rotation).sum())), 1e-30)
     made = still()
     made[:, :3] = [
@@ -48,7 +48,7 @@ def product(a: Floats, b: Floats) -> Floats:
 
 
 def determinant(way: Floats) -> float:
-    """Of the turn and scale of a way (3, 4): by what volumes grow, below 0 where it mirrors."""
+    """Return the determinant of a transform (3, 4): the factor of volumes, negative if it mirrors."""
     return float(determinants(way))
 
 
@@ -61,13 +61,13 @@ def determinants(ways: Floats) -> Floats:
 
 
 def scale(way: Floats) -> float:
-    """The factor of lengths, where it is one for all directions."""
+    """Return the factor of lengths, if it is the same in all directions."""
     with localcontext(prec=40):
         return float(abs(Decimal(determinant(way))) ** (Decimal(1) / 3)) if determinant(way) else 0.0
 
 
 def cosine_and_sine(angle: float) -> tuple[float, float]:
-    """Of an angle in radians, to the last bit: their series with decimal numbers."""
+    """Return cosine and sine of an angle in radians, correct to the last bit, by their series in decimal numbers."""
     with localcontext(prec=60):
         x = Decimal(angle) % _TURN
         term, found, k = Decimal(1), [Decimal(0), Decimal(0)], 0
@@ -79,14 +79,14 @@ def cosine_and_sine(angle: float) -> tuple[float, float]:
 
 
 def inverse(ways: Floats) -> Floats:
-    """The ways back of ways (…, 3, 4) that have a size."""
+    """Return the inverses of transforms (…, 3, 4) that have one."""
     a, b, c = (ways[..., row, :3] for row in range(3))
     turn = np.stack([np.cross(b, c), np.cross(c, a), np.cross(a, b)], axis=-1) / determinants(ways)[..., None, None]
     return np.concatenate([turn, -product(turn, ways[..., 3:])], axis=-1)
 
 
 def has_inverse(way: Floats) -> bool:
-    """Whether there is a way back: the way flattens nothing."""
+    """Return whether a transform has an inverse, that is, flattens nothing."""
     return bool(have_inverses(way))
 
 
@@ -99,15 +99,15 @@ def have_inverses(ways: Floats) -> NDArray[np.bool_]:
 
 
 def applied(way: Floats, points: Floats) -> Floats:
-    """Points (n, 3) by one way (3, 4), or each by its own (n, 3, 4)."""
+    """Apply one transform (3, 4) to points (n, 3), or to each its own (n, 3, 4)."""
     x, y, z = (points[:, axis, None] for axis in range(3))
     found: Floats = ((way[..., 0] * x + way[..., 1] * y) + way[..., 2] * z) + way[..., 3]
     return found
 
 
 def different(points: Floats) -> tuple[NDArray[np.int64], NDArray[np.bool_], NDArray[np.int64]]:
-    """An order by x, y, z of points (n, 3); which of them in that order differ from the one before; and for each point the number
-    of the different one it is. Zero and minus zero are one."""
+    """Return an order by x, y, z of points (n, 3); which points in that order differ from the one before; and for each point the
+    index of its distinct point. Zero and minus zero are equal."""
     order = np.lexsort(points.T[::-1])
     ranked = points[order]
     new = np.ones(len(points), np.bool_)

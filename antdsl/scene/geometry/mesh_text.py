@@ -1,7 +1,7 @@
-"""The tokenizer of meshes as text: .obj, .ply and .stl files to blocks of words with their lines.
+"""The tokenizer of text meshes: .obj, .ply and .stl files to blocks of words with their lines.
 
-Line ends of any system, a byte order mark, indentation, comments and continued lines are resolved here and nowhere else. NumPy
-finds the words of a block, so that a reader takes columns of numbers out of thousands of lines at once."""
+Only this module handles the line ends of all systems, byte order marks, indentation, comments and continued lines. NumPy finds
+the words of a block, so that a reader takes columns of numbers from thousands of lines at once."""
 
 from __future__ import annotations
 
@@ -33,11 +33,11 @@ _ANY_COMMENT = re.compile(_COMMENT)
 _COMMENT_OR_NAME = re.compile(rb"(^[\t\x0c ]*[go][\t\x0c ]+#[^\n\t\x0c ]+)|" + _COMMENT, re.MULTILINE | re.IGNORECASE)
 _CLOSE_COMMENT = re.compile(rb"^([\t\x0c ]*[vflpVFLP][nNtT]?[\t\x0c ][^\n#]*)#[^\n]*", re.MULTILINE)
 _CONTINUED = re.compile(rb"\\[\t\x0c ]*(?:\n|\Z)")
-_NAME_WORDS = [[word] for word in b"mtllib usemtl o g maplib usemap".split()]  # at whose end `\` is part of a name
+_NAME_WORDS = [[word] for word in b"mtllib usemtl o g maplib usemap".split()]  # a `\` at the end of these is part of a name
 
 
 class MeshError(Exception):
-    """Why a file is no usable mesh, in words that fit after its name; `help` says what to do about it."""
+    """Why a file is not a usable mesh, in words that fit after its name. `help`: what to do about it."""
 
     def __init__(self, message: str, help: str | None = _EXPORT) -> None:
         super().__init__(message)
@@ -45,7 +45,7 @@ class MeshError(Exception):
 
 
 def shown(word: bytes, most: int = 20) -> str:
-    """A word of a foreign file, as it can stand in a message."""
+    """Return a word of an untrusted file in a form that is safe in a message."""
     text = word[:most].decode("ascii", "replace")
     return printable(text)
 
@@ -57,7 +57,7 @@ def check_count(count: int, most: int, what: str) -> None:
 
 
 def check_text(data: bytes) -> None:
-    """MeshError where a file is no text of single bytes."""
+    """Raise MeshError if a file is not text of single bytes."""
     if data.startswith(_WIDE) or (data[1:2] == b"\0" and data[:4096].count(0) > len(data[:4096]) // 4):
         raise MeshError("is text in UTF-16 or UTF-32", "save it as UTF-8 or plain ASCII text")
     if b"\0" in data[:4096]:
@@ -65,9 +65,10 @@ def check_text(data: bytes) -> None:
 
 
 def plain_text(data: bytes, wavefront: bool = False) -> bytes:
-    """Text with `\\n` between lines, without byte order mark and comments. A comment begins with `#` at the start of a word,
-    after numbers of a vertex or face also within one. Of `wavefront` files also without continued lines,
-    and the first word of a name may begin with `#`."""
+    """Return text with line feeds between lines, without byte order mark and comments.
+
+    A comment begins with `#` at the start of a word. After the numbers of a vertex or face, it also begins within a word. For
+    `wavefront` files, continued lines are joined, and the first word of a name may begin with `#`."""
     data = data.removeprefix(b"\xef\xbb\xbf").removesuffix(b"\x1a")
     if b"\r" in data:
         data = data.replace(b"\r\n", b"\n").replace(b"\r", b"\n")
@@ -84,15 +85,15 @@ def plain_text(data: bytes, wavefront: bool = False) -> bytes:
 
 
 def _continued(end: re.Match[bytes]) -> bytes:
-    """What stands for `\\` at the end of a line: the end itself where the line is a name."""
+    """Return the replacement for `\\\\` at the end of a line. In a line with a name, it stays as it is."""
     line = end.string[end.string.rfind(b"\n", 0, end.start()) + 1 : end.start()]
     return end[0] if line.lstrip()[:8].lower().split(None, 1)[:1] in _NAME_WORDS else _BREAK
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Block:
-    """Lines of a text that have words. `number` int64[L]: of each line in the file, from 1; its words are `first[k]` to
-    `first[k] + count[k]`. `start`, `end` int64[W]: where each word is among the bytes `data`."""
+    """Lines of a text that have words. `number` int64[L]: the number of each line in the file, from 1; its words are `first[k]`
+    to `first[k] + count[k]`. `start`, `end` int64[W]: the range of each word in the bytes `data`."""
 
     number: Whole
     first: Whole
@@ -122,7 +123,7 @@ class Block:
         return self.words[self.first[k] : self.first[k] + self.count[k]]
 
     def letters(self) -> NDArray[np.bytes_]:
-        """The first word of each line in small letters, of a longer one its first 8 letters."""
+        """Return the first word of each line in lower case, limited to 8 letters."""
         start, stop = self.start[self.first], self.end[self.first]
         found = np.zeros((len(self), 8), np.uint8)
         for k in range(min(8, int((stop - start).max(initial=0)))):
@@ -132,7 +133,8 @@ class Block:
         return found.view("S8")[:, 0]
 
     def floats(self, at: Whole, what: str) -> Floats:
-        """The words at places `at` as numbers, same shape; MeshError with the line of the first that is none."""
+        """Return the words at indices `at` as numbers, same shape. Raises MeshError with the line of the first that is not a
+        number."""
         flat = at.ravel()
         longest = int((self.end[flat] - self.start[flat]).max(initial=0))
         words = self.words
@@ -164,8 +166,8 @@ class Block:
         return int(self.number[np.searchsorted(self.first, at, side="right") - 1])
 
     def integers(self, at: Whole, slash: bool = False) -> tuple[Whole, NDArray[np.bool_]]:
-        """The words at places `at` as whole numbers, and which of them are. With `slash` only what is before one counts, as in
-        `1/2/3`."""
+        """Return the words at indices `at` as integers, and which of them are integers. With `slash`, only the part before a
+        slash counts, as in `1/2/3`."""
         start, end = self.start[at], self.end[at]
         negative = self.data[start] == 45
         start = start + negative
@@ -187,7 +189,8 @@ class Block:
 
 
 def blocks(text: bytes, number: int = 1) -> Iterator[Block]:
-    """The lines of a `plain_text`, the first of which is line `number` of the file; MeshError for one that is too long."""
+    """Yield the lines of a `plain_text`, the first of which is line `number` of the file. Raises MeshError for a line that is too
+    long."""
     at = 0
     while at < len(text):
         stop = text.rfind(b"\n", at, at + _BLOCK_BYTES) + 1

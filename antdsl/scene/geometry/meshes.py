@@ -1,5 +1,5 @@
-"""Mesh files to `MeshData`: counts are held against the file's size before anything is allocated, and what a reader of meshes
-would let pass (indices out of range, values that are not finite, faces without area) is looked at here."""
+"""Readers of mesh files to `MeshData`. Counts are checked against the file's size before anything is allocated. This module also
+checks what mesh readers accept: indices out of range, values that are not finite, faces without area."""
 
 from __future__ import annotations
 
@@ -32,9 +32,9 @@ _FARTHEST = 1e9  # mm; a thousand kilometres
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RawMesh:
-    """Vertices in the file's units and axes, and how many faces without area were left out.
+    """Vertices in the file's units and axes, and the number of faces without area that were left out.
 
-    `own_vertices` and `own_faces` are their numbers in the file, which has `counts` vertices and triangles."""
+    `own_vertices` and `own_faces`: their indices in the file. `counts`: vertices and triangles of the file."""
 
     vertices: Floats
     faces: Faces
@@ -46,9 +46,11 @@ class RawMesh:
 
 
 def read_mesh(data: bytes, name: str, group: str | None = None, beside: Beside | None = None) -> RawMesh:
-    """The triangles of a file's bytes; MeshError says why there are none. `group`: of an .obj file those of one group or object,
-    of glTF those at and below a node. `beside(path, cap)` reads a file next to this one."""
-    kept = len(data) <= _KEPT_BYTES and not name.lower().endswith(".gltf")  # whose buffers may be in other files
+    """Return the triangles of a file's bytes. Raises MeshError with the reason if there are none.
+
+    `group`: only one group or object of an .obj file, or only what is at and below a node of glTF. `beside(path, cap)` reads a
+    file in the same folder."""
+    kept = len(data) <= _KEPT_BYTES and not name.lower().endswith(".gltf")  # buffers of .gltf files may be in other files
     return _read(data, name, group) if kept else _sound_file(data, name, group, beside)
 
 
@@ -57,7 +59,7 @@ _KEPT_BYTES = 2 * limits.MIB  # of a file that is read again for the next scene 
 
 @lru_cache(maxsize=16)
 def _read(data: bytes, name: str, group: str | None) -> RawMesh:
-    """Small meshes that several scenes share are read once. Nobody may change their arrays."""
+    """Read a mesh; small ones that several scenes share are read once. Their arrays must not be changed."""
     mesh = _sound_file(data, name, group, None)
     for array in (mesh.vertices, mesh.faces, mesh.own_vertices, mesh.own_faces):
         array.setflags(write=False)
@@ -72,7 +74,7 @@ def _sound_file(data: bytes, name: str, group: str | None, beside: Beside | None
 def mesh_arrays(
     data: bytes, name: str, group: str | None = None, beside: Beside | None = None, notes: ImportNotes | None = None
 ) -> tuple[Floats, Faces]:
-    """As `read_mesh`, all triangles that the file has; only what reading needs is checked. `notes` takes what was left out."""
+    """As `read_mesh`, with all triangles of the file. Only what reading needs is checked. `notes` receives what was left out."""
     notes = ImportNotes() if notes is None else notes
     kind = name.rsplit(".", 1)[-1].lower() if "." in name else ""
     if kind not in KINDS:
@@ -162,7 +164,7 @@ def sound(vertices: Floats, faces: Faces, notes: ImportNotes | None = None) -> R
 
 
 def _first_of_each(rows: Faces, bound: int) -> NDArray[np.int64]:
-    """Where each row of three numbers below `bound` stands first. As one number they are compared sooner."""
+    """Return the first index of each distinct row of three numbers below `bound`. Rows are combined into one number for speed."""
     if bound > 2**21:
         _, first = np.unique(rows, axis=0, return_index=True)
     else:
@@ -180,7 +182,7 @@ def _nothing_beside(path: str, cap: int) -> bytes:
 
 
 def turned_up(points: Floats, own: str, wanted: str) -> Floats:
-    """Points of a file whose up axis is `own` in a scene whose up axis is `wanted`: a quarter turn about x."""
+    """Return points of a file with up axis `own` in a scene with up axis `wanted`: rotated by a quarter turn about x."""
     if own == wanted:
         return points
     x, y, z = points.T
@@ -188,7 +190,7 @@ def turned_up(points: Floats, own: str, wanted: str) -> Floats:
 
 
 def rotated(points: Floats, angles: tuple[float, float, float]) -> Floats:
-    """Points turned about x, then y, then z, by radians."""
+    """Rotate points about x, then y, then z, by radians."""
     for axis, angle in enumerate(angles):
         if angle:
             c, s = cosine_and_sine(angle)
@@ -204,8 +206,8 @@ def rotated(points: Floats, angles: tuple[float, float, float]) -> Floats:
 def placed(
     mesh: RawMesh, *, factor: float, own_up: str, up: str, angles: tuple[float, float, float], at: tuple[float, float, float]
 ) -> MeshData:
-    """A file's mesh in the scene: millimetres, the scene's axes. A mirrored mesh keeps its outside outside. MeshError when
-    it lies too far out."""
+    """Return a file's mesh in the scene: millimetres, the scene's axes. The outside of a mirrored mesh stays outside. Raises
+    MeshError if it is too far out."""
     vertices = rotated(turned_up(mesh.vertices * factor, own_up, up), angles) + np.array(at)
     made = within_reach(vertices, mesh.faces[:, ::-1] if factor < 0 else mesh.faces)
     if not mesh.vertices.flags.writeable:
@@ -215,7 +217,7 @@ def placed(
 
 
 def within_reach(vertices: Floats, faces: NDArray[np.integer]) -> MeshData:
-    """Vertices in mm as a mesh; MeshError when one lies too far out."""
+    """Return vertices in mm as a mesh. Raises MeshError if one is too far out."""
     if not np.isfinite(vertices).all() or np.abs(vertices).max() > _FARTHEST:
         raise MeshError("lies more than a thousand kilometres out", "move it with `at`, or check its `units`")
     return MeshData(np.ascontiguousarray(vertices), np.ascontiguousarray(faces, np.int32))

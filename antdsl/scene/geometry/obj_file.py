@@ -1,4 +1,4 @@
-"""Wavefront .obj files: vertices and polygons of all groups or of one. What else holds geometry is counted, not read."""
+"""Reader of Wavefront .obj files: vertices and polygons of all groups or of one. Other geometry is counted, not read."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ _FREE_FORM = frozenset(b"vp cstype deg bmat step parm trim hole scrv sp end con 
 
 
 def read_obj(data: bytes, notes: ImportNotes, group: str | None = None) -> PolygonMesh:
-    """Vertices and polygons of a file, of one group or object where one is named; MeshError says what is wrong."""
+    """Return vertices and polygons of a file, or of one named group or object. Raises MeshError with the reason."""
     notes.form = "Wavefront .obj"
     check_text(data)
     reader = _Reader(notes, group)
@@ -111,7 +111,7 @@ class _Reader:
         self.lines.append(number)
 
     def _is_chosen(self, block: Block, kind: NDArray[np.bytes_]) -> NDArray[np.bool_]:
-        """Whether each line stands below the named group or object."""
+        """Return whether each line is below the named group or object."""
         found = np.zeros(len(block), np.bool_)
         begin = 0
         for k in np.flatnonzero((kind == b"g") | (kind == b"o")).tolist():

@@ -18,7 +18,7 @@ _PARTS = (("{}_x", "{}_y", "{}_z"), ("{}.x", "{}.y", "{}.z"), ("{}x", "{}y", "{}
 
 
 class PaintError(Exception):
-    """Why a file has not what is wanted, in words that fit after its name; `help` says what to write."""
+    """Why a file lacks the requested data, in words that fit after its name; `help` says what to write."""
 
     def __init__(self, words: str, help: str | None = None) -> None:
         super().__init__(words)
@@ -26,9 +26,11 @@ class PaintError(Exception):
 
 
 def read_painted(data: bytes, name: str, attribute: str | tuple[str, ...], width: int) -> Floats:
-    """Rows (n, width) of an attribute, width 1 or 3, one for each vertex or face; PaintError says why there are none.
+    """Return rows (n, width) of an attribute, width 1 or 3, one for each vertex or face. Raises PaintError with the reason if
+    there are none.
 
-    Three names are those of the parts of a vector. Of numbers in one byte 255 is 1. What is not finite is refused."""
+    Three names are the components of a vector. One-byte numbers are scaled so that 255 is 1. Values that are not finite are an
+    error."""
     kind = name.rsplit(".", 1)[-1].lower() if "." in name else ""
     if kind not in _READERS:
         raise PaintError("is neither a .ply nor an .npz file", "paint on the vertices of a .ply file, or write an .npz file")
@@ -66,7 +68,7 @@ def _from_ply(data: bytes, attribute: str | tuple[str, ...], width: int) -> Floa
 
 
 def _columns(element: Element, attribute: str | tuple[str, ...], width: int) -> tuple[str, ...] | None:
-    """Names of an element's properties that are the parts of the attribute, or None."""
+    """Return the names of an element's properties that are the components of the attribute, or None."""
     have = {p.name for p in element.properties if not p.count}
     if isinstance(attribute, tuple):
         return attribute if len(attribute) == width and have.issuperset(attribute) else None

@@ -1,4 +1,4 @@
-"""Headers of .ply files, held against the size of the file: which elements there are, of which properties."""
+"""Headers of .ply files, checked against the size of the file: their elements and properties."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class HeaderError(Exception):
 
 @dataclass(frozen=True, slots=True)
 class Property:
-    """`count` is the kind of a list's own count, None where there is one value."""
+    """A property. `count`: the type of a list's own count, None for a single value."""
 
     name: str
     kind: str
@@ -40,13 +40,13 @@ class Element:
     properties: tuple[Property, ...]
 
     def least(self) -> int:
-        """Bytes that one of these takes at least; an empty list is its count alone."""
+        """Return the least number of bytes of one element; an empty list has only its count."""
         return sum(np.dtype(p.count or p.kind).itemsize for p in self.properties)
 
 
 @dataclass(frozen=True, slots=True)
 class Header:
-    """`order` is `<` or `>`, empty for text; `body` is where the elements begin, in line `line` of the file."""
+    """A header. `order`: `<` or `>`, empty for text. `body`: where the elements begin, in line `line` of the file."""
 
     order: str
     elements: tuple[Element, ...]
@@ -55,7 +55,8 @@ class Header:
 
 
 def read_header(data: bytes) -> Header:
-    """The header of a .ply file whose counts fit the size of the file; HeaderError says why not."""
+    """Return the header of a .ply file after checking its counts against the file's size. Raises HeaderError with the reason
+    otherwise."""
     lines, body = _header_lines(data)
     order: str | None = None
     elements: list[Element] = []
@@ -81,7 +82,7 @@ def read_header(data: bytes) -> Header:
 
 
 def _header_lines(data: bytes) -> tuple[list[bytes], int]:
-    """The lines between the first, `ply`, and `end_header`, and where the body begins. Words of comments do not count."""
+    """Return the lines between the first, `ply`, and `end_header`, and where the body begins. Words in comments are ignored."""
     head = data[: 64 * limits.KIB]
     at = 3 if head.startswith(b"\xef\xbb\xbf") else 0
     lines: list[bytes] = []

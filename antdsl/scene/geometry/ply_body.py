@@ -1,4 +1,4 @@
-"""Bodies of .ply files, text or binary: element after element as columns, each count held against what is left of the file."""
+"""Bodies of .ply files, text or binary: the elements as columns, with each count checked against the rest of the file."""
 
 from __future__ import annotations
 
@@ -26,7 +26,8 @@ _SHORT = "is shorter than its header says"
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Column:
-    """The values of a property of all elements of one name, one after the other; of a list `counts` says how many each has."""
+    """The values of a property of all elements of one name, in order. For lists, `counts` has the number of values of each
+    element."""
 
     values: NDArray[Any]
     counts: Whole | None = None
@@ -36,7 +37,8 @@ Columns = Mapping[str, Column]
 
 
 def read_ply(data: bytes, notes: ImportNotes) -> PolygonMesh:
-    """Vertices and polygons of a file, triangle strips cut up; HeaderError or MeshError says what is wrong."""
+    """Return vertices and polygons of a file, with triangle strips as triangles. Raises HeaderError or MeshError with the
+    reason."""
     header = read_header(data)
     notes.form = {"": "text", "<": "binary", ">": "binary (big-endian)"}[header.order] + " .ply"
     named = {e.name.lower(): e for e in reversed(header.elements)}
@@ -55,7 +57,7 @@ def read_ply(data: bytes, notes: ImportNotes) -> PolygonMesh:
             notes.skip(f"element `{shown(element.name.encode())}` ({element.count:,})")
     found = read_elements(data, header, wanted, notes)
     columns = found[id(vertex)]
-    with np.errstate(invalid="ignore"):  # a signalling NaN warns as it is converted; what is not finite is refused later
+    with np.errstate(invalid="ignore"):  # a signalling NaN warns on conversion; values that are not finite are rejected later
         points = to_float64(np.stack([columns[axes[axis]].values for axis in "xyz"], axis=1))
     counts, indices = [np.empty(0, np.int64)], [np.empty(0, np.int64)]
     for shape in (face, strips):
@@ -90,7 +92,8 @@ def _corners_of(element: Element) -> str:
 
 
 def read_columns(data: bytes, header: Header, element: Element, names: Sequence[str]) -> Floats:
-    """Some single-valued properties of one element, (count, len(names)); HeaderError where the body is not as the header says."""
+    """Return some single-valued properties of one element, (count, len(names)). Raises HeaderError if the body does not match the
+    header."""
     try:
         found = read_elements(data, header, {id(element): names}, ImportNotes())[id(element)]
     except MeshError as why:
@@ -99,7 +102,7 @@ def read_columns(data: bytes, header: Header, element: Element, names: Sequence[
 
 
 def read_elements(data: bytes, header: Header, wanted: Mapping[int, Collection[str]], notes: ImportNotes) -> dict[int, Columns]:
-    """The columns that are wanted, by the id of an element of the header and the property's name. Others are skipped."""
+    """Return the requested columns, by the id of a header element and the property's name. Other columns are skipped."""
     for element in header.elements:
         names = [p.name for p in element.properties]
         if twice := next((name for k, name in enumerate(names) if name in names[:k]), None):
@@ -118,14 +121,14 @@ def read_elements(data: bytes, header: Header, wanted: Mapping[int, Collection[s
 
 
 class _Text:
-    """One line an element; blank lines are passed over."""
+    """A text body: one line per element; blank lines are skipped."""
 
     def __init__(self, data: bytes, header: Header) -> None:
         self._blocks = blocks(plain_text(data[header.body :]), header.line)
         self._open: Block | None = None
 
     def _lines(self, count: int) -> Iterator[Block]:
-        """Blocks with so many lines; fewer where the file ends."""
+        """Yield blocks with `count` lines, fewer at the end of the file."""
         while count > 0:
             block = self._open if self._open is not None and len(self._open) else next(self._blocks, None)
             if block is None:
@@ -231,7 +234,7 @@ class _Binary:
         return found
 
     def _lengths(self, element: Element) -> dict[str, int] | None:
-        """How long the lists of the first element are: most often all are as long. None where they cannot be."""
+        """Return the list lengths of the first element, which all elements usually share. None if that is impossible."""
         at, found = self._at, {}
         for p in element.properties:
             if p.count is not None:
@@ -255,7 +258,7 @@ class _Binary:
         return int(count)
 
     def _uneven(self, element: Element, wanted: Collection[str]) -> Columns:
-        """Lists of different lengths: one element after the other to find where each begins, then all values at once."""
+        """Return lists of different lengths: first find where each begins, element by element, then read all values at once."""
         data, at, name = self._data, self._at, shown(element.name.encode())
         starts: dict[str, list[int]] = {p.name: [] for p in element.properties if p.name in wanted}
         counts: dict[str, list[int]] = {p.name: [] for p in element.properties if p.name in wanted and p.count}
@@ -304,6 +307,6 @@ _CODES = {
 
 
 def _step(order: str, kind: str, count: str | None) -> tuple[int, Callable[[bytes, int], tuple[Any, ...]] | None, int]:
-    """Bytes of one value, and for a list how its length is read, and the bytes of that."""
+    """Return the bytes of one value; for a list also how its length is read, and the bytes of that."""
     read = None if count is None else struct.Struct(order + _CODES[count])
     return np.dtype(kind).itemsize, None if read is None else read.unpack_from, 0 if read is None else read.size

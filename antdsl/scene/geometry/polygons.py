@@ -1,8 +1,8 @@
-"""Polygons to triangles: the one triangulator for .obj, .ply, USD and bodies, and triangle strips.
+"""Triangulation of polygons: the only one for .obj, .ply, USD and bodies, and for triangle strips.
 
-NumPy cuts triangles, quads and polygons that a fan from one of their corners covers, all of one size at once. A convex polygon
-is a fan about its first corner. The rest, such as a polygon with two arms, goes to mapbox_earcut one by one, on a grid of whole
-numbers: all its products are exact there, so every processor gets the same triangles."""
+NumPy cuts triangles, quads and polygons that a fan from one of their corners covers, all of one size at once. A convex polygon is
+a fan from its first corner. The rest, such as a polygon with two arms, goes to mapbox_earcut one by one, on an integer grid. All
+its products are exact there, so every processor gets the same triangles."""
 
 from __future__ import annotations
 
@@ -32,9 +32,9 @@ class TooManyCorners(Exception):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Triangulation:
-    """`corners` int64[m, 3]: places in the list of the corners of all polygons; `polygon` int64[m]: the polygon of each triangle,
-    in order. `cut`: how many polygons had more than three corners, `concave`: how many of those have a corner that
-    points inward. `crossing`: numbers of polygons that cut or cover themselves."""
+    """`corners` int64[m, 3]: indices into the list of the corners of all polygons; `polygon` int64[m]: the polygon of each
+    triangle, in order. `cut`: the number of polygons with more than three corners; `concave`: how many of those have a corner
+    that points inward. `crossing`: indices of polygons that cut or cover themselves."""
 
     corners: Whole
     polygon: Whole
@@ -46,9 +46,9 @@ class Triangulation:
 def triangulate(points: Floats, counts: Whole, indices: Whole) -> Triangulation:
     """Cut polygons into triangles that keep their winding.
 
-    `points` float64[n, 3]; `counts` int64[p]: corners of each polygon, those of fewer than three have no triangles; `indices`
-    int64[counts.sum()]: the point of each corner, each below n. Of corners that follow each other at one place the first counts.
-    TooManyCorners where a polygon is too large to cut."""
+    `points` float64[n, 3]. `counts` int64[p]: corners of each polygon; fewer than three give no triangles. `indices`
+    int64[counts.sum()]: the point of each corner, each below n. Of successive corners at one position, only the first counts.
+    Raises TooManyCorners if a polygon is too large to cut."""
     if len(counts) and (counts == 3).all():
         return Triangulation(np.arange(3 * len(counts)).reshape(-1, 3), np.arange(len(counts)))
     own = np.arange(len(indices))
@@ -60,7 +60,8 @@ def triangulate(points: Floats, counts: Whole, indices: Whole) -> Triangulation:
 
 
 def _repeated(places: Floats, counts: Whole) -> NDArray[np.bool_]:
-    """Which corners of polygons of four and more are where the one before them is, or the last where the first is."""
+    """Return which corners of polygons with at least four corners coincide with the previous one, or, for the last, with the
+    first."""
     large = counts > 3
     start = np.cumsum(counts) - counts
     begin, end = start[large], start[large] + counts[large] - 1
@@ -110,8 +111,8 @@ def _check_work(counts: Whole) -> None:
 
 
 def _flat(rings: Floats) -> tuple[Floats, NDArray[np.bool_]]:
-    """Polygons [p, n, 3] seen along the axis that their normal is nearest to, counter-clockwise [p, n, 2]; and whether they have
-    an area."""
+    """Return polygons [p, n, 3] projected along the axis nearest to their normal, counter-clockwise [p, n, 2], and whether they
+    have an area."""
     low = rings.min(axis=1, keepdims=True)
     extent = np.maximum((rings.max(axis=1, keepdims=True) - low).max(axis=2, keepdims=True), 1e-300)
     unit = (rings - low) / np.ldexp(1.0, np.frexp(extent)[1])  # a power of two: nothing is rounded
@@ -133,8 +134,8 @@ def _flat(rings: Floats) -> tuple[Floats, NDArray[np.bool_]]:
 
 
 def _fans(rings: Floats) -> tuple[Whole, Whole, NDArray[np.bool_]]:
-    """For polygons [p, n, 3] the triangles [p, n - 2, 3] of a fan, the corner it is about (-1 where none that was tried covers
-    the polygon), and whether they cross themselves."""
+    """Return for polygons [p, n, 3] the triangles [p, n - 2, 3] of a fan, and whether they cross themselves. Also return the
+    corner at the centre of the fan, -1 if no fan that was tried covers the polygon."""
     count = rings.shape[1]
     seen, has_area = _flat(rings)
     crossed = ~has_area & _crosses(rings)
@@ -170,7 +171,7 @@ def _has_reflex(rings: Floats) -> NDArray[np.bool_]:
 
 
 def _crosses(rings: Floats) -> NDArray[np.bool_]:
-    """Whether polygons without an area as a whole have triangles with one: they cross themselves, as an 8 does."""
+    """Return whether polygons without a total area have triangles with one: they cross themselves, like an 8."""
     side = rings[:, 1:] - rings[:, :1]
     extent = np.maximum(np.abs(side).max(axis=(1, 2)), 1e-300)
     across = np.abs(np.cross(side[:, :-1], side[:, 1:])).max(axis=(1, 2), initial=0.0)
@@ -178,7 +179,7 @@ def _crosses(rings: Floats) -> NDArray[np.bool_]:
 
 
 def _ears(seen: Floats) -> tuple[Whole, bool]:
-    """Triangles (m, 3) of the corners of one polygon [n, 2], counter-clockwise; and whether it crosses itself."""
+    """Return triangles (m, 3) of the corners of one polygon [n, 2], counter-clockwise, and whether it crosses itself."""
     from mapbox_earcut import triangulate_float64
 
     grid = np.round(seen * _GRID)
@@ -199,15 +200,15 @@ def _twice_areas(grid: Floats, triangles: Whole) -> Floats:
 
 
 def _split(triangles: list[list[int]], corners: list[Corner]) -> list[list[int]]:
-    """Triangles that use the corners on straight sides too, which earcut leaves out: else there would be a crack beside the
-    neighbour that uses them."""
+    """Split triangles so that they also use the corners on straight sides, which earcut leaves out. Otherwise there would be a
+    crack to a neighbour that uses them."""
     count = len(corners)
     border = {(k, (k + 1) % count) for k in range(count)}
     edges = {(t[k], t[(k + 1) % 3]) for t in triangles for k in range(3)}
     loose = {(a, b) for a, b in edges if (a, b) not in border and (b, a) not in edges}
     if not loose:
         return triangles
-    # Edges that somebody needs: sides of the polygon, and what lies across from a loose edge.
+    # Edges that a triangle still needs: sides of the polygon, and the opposite of each loose edge.
     needed: dict[int, list[int]] = {}
     for a, b in [*(border - edges), *((b, a) for a, b in loose)]:
         needed.setdefault(a, []).append(b)
@@ -228,7 +229,7 @@ def _split(triangles: list[list[int]], corners: list[Corner]) -> list[list[int]]
 
 
 def _chain(a: int, b: int, needed: dict[int, list[int]], corners: list[Corner]) -> list[int]:
-    """The corners on the straight way from a to b that needed edges lead through; none where they lead elsewhere."""
+    """Return the corners on the straight line from a to b that needed edges connect; empty if these edges go elsewhere."""
     (ax, ay), (bx, by) = corners[a], corners[b]
     at = a
     chain: list[int] = []
@@ -256,8 +257,8 @@ T = TypeVar("T", bound=np.integer)
 
 
 def strip_triangles(corners: NDArray[T], restart: int = -1) -> NDArray[T]:
-    """Triangles (n, 3) of a strip of corners, every other one turned so that all look the same way. Those that name a corner
-    twice join parts of a strip and are left out. `restart` begins a new strip."""
+    """Return the triangles (n, 3) of a strip of corners, every other one reversed so that all face the same side. Triangles with
+    a repeated corner connect parts of a strip and are left out. `restart` begins a new strip."""
     if len(corners) < 3:
         return np.empty((0, 3), corners.dtype)
     place = np.arange(len(corners))
@@ -272,7 +273,7 @@ def strip_triangles(corners: NDArray[T], restart: int = -1) -> NDArray[T]:
 @dataclass(frozen=True, slots=True, eq=False)
 class PolygonMesh:
     """`points` float64[n, 3] in the file's units; `counts` int64[p]: corners of each polygon; `indices` int64[counts.sum()]: the
-    point of each corner, which a reader need not have checked."""
+    point of each corner, which a reader does not have to check."""
 
     points: NDArray[np.float64]
     counts: NDArray[np.int64]

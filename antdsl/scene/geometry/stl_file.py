@@ -1,4 +1,4 @@
-"""Files in .stl, binary or text: triangles whose corners are joined where they are at one place."""
+"""Reader for .stl files, binary or text: triangles, with corners at equal positions merged."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _MISSING = "is not a .stl file, or a part of it is missing"
 
 
 def read_stl(data: bytes, notes: ImportNotes) -> PolygonMesh:
-    """The triangles of a file; MeshError says what is wrong."""
+    """Return the triangles of a file. Raises MeshError with the reason."""
     corners = _text(data, notes) if _is_text(data) else _binary(data, notes)
     wrong = np.flatnonzero(~np.isfinite(corners).all(axis=1))
     if len(wrong):
@@ -30,7 +30,8 @@ def read_stl(data: bytes, notes: ImportNotes) -> PolygonMesh:
 
 
 def _is_text(data: bytes) -> bool:
-    """A binary file may begin with `solid` too; its numbers have bytes that no text has."""
+    """Return whether a file is text. A binary file may also begin with `solid`, but its numbers contain bytes that text does not
+    have."""
     if len(data) >= _HEAD and len(data) == _HEAD + _FACE * struct.unpack_from("<I", data, 80)[0]:
         return False
     head = data[: 64 * limits.KIB]
@@ -94,7 +95,7 @@ def _text(data: bytes, notes: ImportNotes) -> Floats:
 
 
 def _check_others(number: Whole, kind: Whole, words: list[str], notes: ImportNotes) -> None:
-    """MeshError for a line within a facet that is not known; others are noted."""
+    """Raise MeshError for an unknown line within a facet; note other unknown lines."""
     others = np.flatnonzero(kind == _OTHER)
     opened = np.cumsum((kind == _FACET).astype(np.int64) - (kind == _END))
     for place, text in zip(others.tolist(), words, strict=True):
@@ -104,7 +105,7 @@ def _check_others(number: Whole, kind: Whole, words: list[str], notes: ImportNot
 
 
 def _check_facets(kinds: Whole, numbers: Whole, last: int) -> None:
-    """MeshError where lines are not facet, three corners, end of the facet, again and again."""
+    """Raise MeshError if lines do not repeat facet, three corners, end of facet."""
     wanted = np.resize(np.array([_FACET, _VERTEX, _VERTEX, _VERTEX, _END]), len(kinds))
     wrong = np.flatnonzero(kinds != wanted)
     if not len(wrong):

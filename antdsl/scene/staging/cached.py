@@ -1,4 +1,4 @@
-"""Keeps what was worked out about small meshes that are staged again and again, as in a preview."""
+"""Stores results about small meshes that are staged repeatedly, as in a preview."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Concatenate, ParamSpec, Protocol, TypeVar
 
 from numpy.typing import NDArray
 
-_MESHES, _ANSWERS = 16, 4096  # kept at most: meshes for each kind of work, and what was worked out about each
+_MESHES, _ANSWERS = 16, 4096  # maximum cache sizes: meshes for each kind of work, and results for each mesh
 
 
 class _Mesh(Protocol):
@@ -22,8 +22,8 @@ T = TypeVar("T")
 
 
 def once_a_mesh(work: Callable[Concatenate[M, P], T]) -> Callable[Concatenate[M, P], T]:
-    """`work`, done once for a mesh and what goes with it. Only for meshes that nobody can change, which are those that are kept
-    anyway; what is given back must not be changed either."""
+    """Return `work`, cached by mesh and arguments. Only results for read-only meshes, which are cached anyway, are stored.
+    Results must not be changed either."""
 
     @lru_cache(maxsize=_MESHES)
     def kept(mesh: M) -> dict[Hashable, T]:

@@ -1,4 +1,4 @@
-"""Items of the world where they lie at each frame: at points, on surfaces, on surfaces that move, or as points of a USD file."""
+"""Positions of the world's items at each frame: at points, on surfaces, on moving surfaces, or from points of a USD file."""
 
 from __future__ import annotations
 
@@ -24,7 +24,8 @@ Laid = tuple[tuple[stage_of.ItemData, ...], NDArray[np.float64]]
 
 
 def items_of(staging: Staging, name: str, surfaces: Mapping[str, stage_of.MeshData]) -> Laid | None:
-    """Items of one name as they are at the first frame, and their places (frames, n, 3); None for what are no items."""
+    """Return the items of one name as at the first frame, and their positions (frames, n, 3); None for things that are not
+    items."""
     value, thing = staging.scene.model.world[name], staging.program.world.get(name)
     if isinstance(value, UsdThing) and thing is not None and thing.kind == "items":
         return _usd_items(staging, name, value, thing)
@@ -51,9 +52,10 @@ def items_of(staging: Staging, name: str, surfaces: Mapping[str, stage_of.MeshDa
 def _laid(
     staging: Staging, name: str, item: str, thing: ItemThing, surfaces: Mapping[str, stage_of.MeshData]
 ) -> NDArray[np.float64] | None:
-    """Where an item is at each frame (frames, 3), one frame where it stays; None and a complaint when it is beside its surface.
+    """Return an item's position at each frame (frames, 3), one frame if it is static. If it misses its surface, report an error
+    and return None.
 
-    With `on` it lies on the surface: by its keys wherever they lead, else on its one place of a surface that may move."""
+    With `on` it lies on the surface: at each position of its keys, else at one point of a surface that may move."""
     track = item_places(staging, name, item, thing)
     mesh = surfaces.get(thing.on) if thing.on is not None else None
     if mesh is None or thing.on is None:
@@ -80,7 +82,7 @@ def check_crowds(
     surfaces: Mapping[str, stage_of.MeshData],
     solids: Mapping[str, stage_of.SolidData],
 ) -> None:
-    """Warn of a crowd that is to begin where no surface is: it would stand at the nearest place of one."""
+    """Warn about a crowd that would start where no surface is; it would stand at the nearest surface point."""
     for crowd in crowds:
         if crowd.count and beside(crowd.place, surfaces, solids, staging.scene.model.up):
             words = f"there is no surface where `{crowd.species}` is to begin, so it begins at the nearest"
@@ -92,7 +94,7 @@ def check_crowds(
 def beside(
     place: stage_of.PlaceData, surfaces: Mapping[str, stage_of.MeshData], solids: Mapping[str, stage_of.SolidData], up: str
 ) -> bool:
-    """Whether no surface lies below or above the disc in which a crowd is to begin, or in its ball where it begins by area."""
+    """Return whether no surface lies below or above a crowd's start disc, or, with a start by area, in its ball."""
     if place.around is None or place.radius is None:
         return False
     grounds = {**surfaces, **{name: solid.mesh for name, solid in solids.items()}}
@@ -104,7 +106,7 @@ def beside(
 
 @once_a_mesh
 def _within(mesh: stage_of.MeshData, middle: stage_of.Point, radius: float, axes: tuple[int, ...]) -> bool:
-    """Whether a mesh reaches into a ball, or seen along the axis that is left out into a disc."""
+    """Return whether a mesh reaches into a ball, or, if an axis is left out, into a disc seen along that axis."""
     faces = _near(mesh, middle, axes, radius)
     corners = np.zeros((len(faces), 3, 3))
     corners[:, :, : len(axes)] = (mesh.vertices[:, axes] - np.array(middle)[list(axes)])[faces]
@@ -123,7 +125,8 @@ def _within(mesh: stage_of.MeshData, middle: stage_of.Point, radius: float, axes
 
 
 def _usd_items(staging: Staging, name: str, value: UsdThing, thing: WorldThing) -> Laid | None:
-    """Points or empties of a USD file as items: radius and attributes by the file, else by `each`, else the usual."""
+    """Return points or empties of a USD file as items. Radius and attributes come from the file, else from `each`, else from the
+    defaults."""
     found = usd_items(staging, name, value)
     if found is None:
         return None
@@ -152,8 +155,8 @@ def _turned_keys(value: UsdThing) -> tuple[str, ...]:
 
 
 def _turned(up: str, value: UsdThing, ahead: NDArray[np.float64]) -> list[NDArray[np.float64]]:
-    """The columns for the attributes that take the way that empties face: a unit vector, or its angle from +x about the scene's
-    up, counted to the left; nan for what faces no way, or straight up or down."""
+    """Return the columns of the attributes that take the direction of empties: a unit vector, or its angle from +x about the
+    scene's up, counted to the left. They are nan without a direction; the angle also if it is straight up or down."""
     if value.turn is None:
         return []
     size = np.sqrt((ahead[:, 0] * ahead[:, 0] + ahead[:, 1] * ahead[:, 1]) + ahead[:, 2] * ahead[:, 2])
@@ -171,7 +174,7 @@ def three(place: NDArray[np.float64]) -> stage_of.Point:
 
 
 def _near(mesh: stage_of.MeshData, point: stage_of.Point, axes: Sequence[int], reach: float = 0.0) -> NDArray[np.int32]:
-    """Faces whose boxes along some axes come within reach of a point, or nearly so."""
+    """Return faces with boxes that, along some axes, come within (nearly) `reach` of a point."""
     near = np.ones(len(mesh.faces), np.bool_)
     for axis in axes:
         a, b, c = (np.ascontiguousarray(mesh.vertices[:, axis])[mesh.faces[:, k]] for k in range(3))
@@ -184,7 +187,7 @@ def _near(mesh: stage_of.MeshData, point: stage_of.Point, axes: Sequence[int], r
 
 @once_a_mesh
 def height_over(mesh: stage_of.MeshData, point: stage_of.Point, up: str) -> float | None:
-    """The highest place of a mesh on the line through a point along the scene's up, or None where there is none."""
+    """Return the highest point of a mesh on the line through a point along the scene's up, or None if there is none."""
     flat, tall = ([0, 2], 1) if up == "y" else ([0, 1], 2)
     corners = mesh.vertices[_near(mesh, point, flat)]
     plan = corners[:, :, flat] - np.array(point)[flat]

@@ -38,7 +38,7 @@ _DEFAULT_WELD = 0.01  # of a voxel: what is finer is lost in voxels anyway
 
 
 def report_losses(staging: Staging, shown: str, raw: RawMesh, span: Span | None) -> None:
-    """Warn of what of a mesh file is not in the scene."""
+    """Warn about what was in a mesh file and is not in the scene."""
     report, notes = staging.report, raw.notes
     if raw.dropped:
         faces = "face" if raw.dropped == 1 else "faces"
@@ -56,7 +56,7 @@ def report_losses(staging: Staging, shown: str, raw: RawMesh, span: Span | None)
 
 
 def report_distances(staging: Staging, setting: stage_of.Setting) -> None:
-    """Warn of meshes that reach so far from the origin of their world that positions there are coarse."""
+    """Warn about meshes that extend so far from the world's origin that positions there are imprecise."""
     origin = world_origin(setting)
     walked = {**setting.surfaces, **{name: solid.mesh for name, solid in setting.solids.items()}}
     for name, mesh in (walked or setting.obstacles).items():  # no agent comes near an obstacle beyond all surfaces
@@ -70,7 +70,7 @@ def report_distances(staging: Staging, setting: stage_of.Setting) -> None:
 def weld_thing(
     staging: Staging, name: str, value: MeshThing | HeightThing | UsdThing, mesh: stage_of.MeshData
 ) -> stage_of.MeshData:
-    """The mesh with its vertices welded where the scene says `weld`."""
+    """Return the mesh with its vertices welded, if the scene says `weld`."""
     if isinstance(value, HeightThing) or value.weld is None:
         return mesh
     if name in staging.moves:
@@ -103,7 +103,7 @@ def weld_thing(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Welded:
-    """A mesh after welding; how many of its vertices were moved; and which of the faces before have three corners still."""
+    """A mesh after welding, the number of moved vertices, and which of the previous faces still have three corners."""
 
     mesh: stage_of.MeshData
     moved: int
@@ -111,8 +111,8 @@ class _Welded:
 
 
 def _weld(mesh: stage_of.MeshData, tolerance: float) -> _Welded | None:
-    """The mesh with its vertices welded, without faces that lose a corner by it; None where no face with an area is left.
-    WeldError where the tolerance is much too large."""
+    """Return the mesh with its vertices welded, without faces that lose a corner; None if no face with an area remains. Raises
+    WeldError if the tolerance is much too large."""
     vertices, count = welded(mesh.vertices, tolerance)
     if not count:
         return _Welded(mesh, 0, np.ones(len(mesh.faces), np.bool_))
@@ -122,7 +122,7 @@ def _weld(mesh: stage_of.MeshData, tolerance: float) -> _Welded | None:
 
 
 def _take(staging: Staging, name: str, made: _Welded) -> stage_of.MeshData:
-    """Put down what welding changed. Values painted on faces go on with those that are left."""
+    """Record what welding changed. Values painted on faces stay with the remaining faces."""
     raw = staging.raw[name]
     if made.moved:
         staging.welds[name] = staging.welds.get(name, 0) + made.moved
@@ -133,7 +133,7 @@ def _take(staging: Staging, name: str, made: _Welded) -> stage_of.MeshData:
 
 
 def close_solid(staging: Staging, name: str, value: MeshThing | UsdThing, solid: stage_of.SolidData) -> stage_of.SolidData:
-    """The solid, its vertices welded if it is not closed without; an error where it has no inside all the same."""
+    """Return the solid, with its vertices welded if it is not closed otherwise. Reports an error if it still has no inside."""
     shown, place = mesh_place(staging, name)
     if is_flat(solid.mesh.vertices, solid.mesh.faces):
         words, help = f"the solid `{name}` has no volume: `{shown}` is flat", "give it a thickness, or declare a `surface`"
@@ -165,7 +165,8 @@ def close_solid(staging: Staging, name: str, value: MeshThing | UsdThing, solid:
 
 
 def check_live(staging: Staging, surfaces: Mapping[str, stage_of.MeshData]) -> None:
-    """An error for each surface of which no face is ground, as the ground itself has it: no agent could stand on it."""
+    """Report an error for each surface without a face that is ground, by the rule of the ground itself: no agent could stand on
+    it."""
     if not surfaces:
         return
     used = [mesh.vertices[mesh.faces].reshape(-1, 3) for mesh in surfaces.values()]
@@ -185,7 +186,7 @@ def check_live(staging: Staging, surfaces: Mapping[str, stage_of.MeshData]) -> N
 
 
 def mesh_place(staging: Staging, name: str) -> tuple[str, Span | None]:
-    """What messages call the mesh of a thing, and where the scene names it."""
+    """Return the name of a thing's mesh in messages, and where the scene names it."""
     value = staging.scene.model.world[name]
     key = next(key for key in ("mesh", "height", "prim") if hasattr(value, key))
     return str(value.path if isinstance(value, UsdThing) else getattr(value, key)), staging.scene.span("world", name, key)
@@ -223,10 +224,10 @@ class WeldError(Exception):
 
 
 def welded(vertices: Floats, tolerance: float) -> tuple[Floats, int]:
-    """Vertices (n, 3) of which those nearer to each other than `tolerance`, or joined by others between them, lie where the
-    first of them does; and how many were moved. Their numbers stay as they are.
+    """Return vertices (n, 3) after welding, and how many were moved. Vertices nearer to each other than `tolerance`, directly or
+    through others, move to the position of their first. Their indices do not change.
 
-    WeldError where so many lie so near that a list of the pairs would take more memory than the mesh by far."""
+    Raises WeldError if so many are near that a list of the pairs would take far more memory than the mesh."""
     from scipy.spatial import KDTree
 
     order, new, which = different(vertices)
@@ -252,12 +253,12 @@ def edge_lengths(vertices: Floats, faces: Faces) -> Floats:
 
 
 def has_three_places(vertices: Floats, faces: Faces) -> NDArray[np.bool_]:
-    """Which faces have their three corners at three places."""
+    """Return which faces have corners at three different positions."""
     return np.asarray((edge_lengths(vertices, faces) > 0).all(axis=1))
 
 
 def is_flat(vertices: Floats, faces: Faces) -> bool:
-    """Whether all faces lie in one plane, that of the largest of them: a body of them has no volume."""
+    """Return whether all faces lie in the plane of the largest one: such a body has no volume."""
     corners = vertices[faces]
     across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     size = np.sqrt((across * across).sum(axis=1))
@@ -270,8 +271,9 @@ def is_flat(vertices: Floats, faces: Faces) -> bool:
 
 @dataclass(frozen=True, slots=True)
 class Openings:
-    """What keeps a mesh from being closed. `gap`: a tolerance, one digit of mm, at which welding closes it, and `width` the
-    widest gap that it closes; else 0. `holes`: pieces of border; the largest has `edges` of at most `longest` mm."""
+    """What keeps a mesh from being closed. `gap`: a tolerance, one digit of mm, at which welding closes it; `width`: the widest
+    gap that it closes; both 0 if there is none. `holes`: pieces of border; the largest has `edges` edges of at most `longest`
+    mm."""
 
     gap: float
     width: float
@@ -281,7 +283,7 @@ class Openings:
 
 
 def openings(vertices: Floats, faces: Faces, grain: float) -> Openings:
-    """Measure what is open. `grain`: places nearer than this are one."""
+    """Measure the openings. `grain`: positions nearer than this coincide."""
     from scipy.spatial import KDTree
 
     edges, places = odd_edges(vertices, faces, grain)
@@ -310,12 +312,12 @@ def openings(vertices: Floats, faces: Faces, grain: float) -> Openings:
 
 
 def one_digit_down(x: float) -> float:
-    """The number of one digit before x, or x itself: 0.17 gives 0.1."""
+    """Round x down to one digit: 0.17 gives 0.1."""
     digits, _, power = f"{x:.15e}".partition("e")
     return float(f"{digits[0]}e{power}")
 
 
 def one_digit_up(x: float) -> float:
-    """The next number of one digit beyond x: 0.17 gives 0.2, and 0.2 gives 0.3."""
+    """Return the next one-digit number above x: 0.17 gives 0.2, and 0.2 gives 0.3."""
     digits, _, power = f"{x:.15e}".partition("e")
     return float(f"{int(digits[0]) + 1}e{power}")

@@ -1,6 +1,6 @@
-"""How things of the world move: where the vertices of a mesh, the items or the points of a curve are at each frame.
+"""Motion of the world's things: the vertices of a mesh, the items or the points of a curve at each frame.
 
-All of it is held in memory from the start, so a place is a function of the frame and of nothing else."""
+All of it is in memory from the start, so a position only depends on the frame."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MeshMoves:
-    """Vertices over frames. At frame k, vertex v has gone the way `tracks[group[v], k]` from its place at frame 0; the vertices
-    `bent` are shifted by `offsets[k]` mm after that. `tracks` float64 (groups, frames, 3, 4); `offsets` float64 (frames, m, 3).
-    """
+    """Vertices over frames. At frame k, vertex v has the transform `tracks[group[v], k]` from its position at frame 0; the
+    vertices `bent` are then shifted by `offsets[k]` mm. `tracks` float64 (groups, frames, 3, 4); `offsets` float64 (frames, m,
+    3)."""
 
     group: NDArray[np.int32]
     tracks: Floats
@@ -32,20 +32,21 @@ class MeshMoves:
 
     @staticmethod
     def rigid(ways: Floats, count: int) -> MeshMoves:
-        """All of `count` vertices by ways (frames, 3, 4) from a space of their own; the first way has an inverse."""
+        """Move all of `count` vertices by transforms (frames, 3, 4) from a common space; the first one has an inverse."""
         track = after(ways, inverse(ways[0]))
         track[(ways == ways[0]).all(axis=(1, 2))] = still()
         return MeshMoves(np.zeros(count, np.int32), track[None], np.empty(0, np.int64), np.empty((0, 0, 3), np.float64))
 
     @staticmethod
     def free(places: Floats) -> MeshMoves:
-        """Every vertex by itself: `places` (frames, n, 3)."""
+        """Return moves in which every vertex moves independently: `places` (frames, n, 3)."""
         frames, count = places.shape[:2]
         offsets = (places - places[0]).astype(np.float64)
         return MeshMoves(np.zeros(count, np.int32), still(1, frames), np.arange(count), offsets)
 
     def vertices(self, rest: Floats, frame: int) -> Floats:
-        """Where the vertices (n, 3) are at a frame, counted from 0, that are at `rest` at frame 0; the ends hold beyond."""
+        """Return the vertices (n, 3) at a frame, counted from 0. `rest`: their positions at frame 0. The end values hold
+        outside."""
         k = min(max(frame, 0), self.frames - 1)
         place = applied(self.tracks[:, k].take(self.group, axis=0), rest)
         if len(self.bent):
@@ -53,7 +54,7 @@ class MeshMoves:
         return np.ascontiguousarray(place)
 
     def placed(self, ways: Floats) -> MeshMoves:
-        """The same moves in the space that `ways` (frames, 3, 4) lead to."""
+        """Return the same motion in the space that the transforms `ways` (frames, 3, 4) lead to."""
         back = inverse(ways[0])
         tracks = after(after(ways[None], self.tracks), back)
         tracks[:, (ways == ways[0]).all(axis=(1, 2)) & (self.tracks == still()).all(axis=(0, 2, 3))] = still()
@@ -62,7 +63,7 @@ class MeshMoves:
         return MeshMoves(self.group, tracks, self.bent, offsets)
 
     def take(self, kept: NDArray[np.int64]) -> MeshMoves:
-        """The moves of some vertices, `kept` ascending."""
+        """Return the moves of some vertices; `kept`: their numbers, ascending."""
         place = np.full(len(self.group), -1)
         place[kept] = np.arange(len(kept))
         left = np.flatnonzero(place[self.bent] >= 0)
@@ -71,7 +72,8 @@ class MeshMoves:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Moves:
-    """All that moves, by name. `first` is the scene's frame that counts as 0. Items and curves as places (frames, n, 3) in mm."""
+    """All moving things, by name. `first`: the scene's frame that counts as 0. Items and curves are positions (frames, n, 3) in
+    mm."""
 
     first: int = 0
     meshes: Mapping[str, MeshMoves] = field(default_factory=dict)
@@ -82,6 +84,6 @@ class Moves:
         return bool(self.meshes or self.items or self.curves)
 
     def points(self, places: Floats, frame: int) -> Floats:
-        """The places (n, 3) of items or of a curve at a frame of the scene; the ends hold beyond."""
+        """Return the positions (n, 3) of items or of a curve at a frame of the scene; the end values hold outside."""
         found: Floats = places[min(max(frame - self.first, 0), len(places) - 1)]
         return found

@@ -1,4 +1,4 @@
-"""Whether meshes, fields and voxels of a scene have sizes that fit its crowd and its limits, before anything is allocated."""
+"""Checks that the sizes of meshes, fields and voxels fit the crowd and the limits, before anything is allocated."""
 
 from __future__ import annotations
 
@@ -41,8 +41,8 @@ def check_cells(staging: Staging, surfaces: Mapping[str, stage_of.MeshData]) -> 
 
 
 def check_scale(staging: Staging, surfaces: Mapping[str, stage_of.MeshData], solids: Mapping[str, stage_of.SolidData]) -> None:
-    """Warn of a surface hardly larger than who walks on it, or so large that its units are likely wrong; of voxels too coarse
-    for those who walk and dig there."""
+    """Warn about a surface that is hardly larger than its agents, or so large that its units are likely wrong. Also warn about
+    voxels too coarse for agents that walk and dig there."""
     for line in staging.scene.model.crowd:
         species = staging.program.species.get(line.species)
         size = next((a.default for a in species.attributes if a.name == "size"), None) if species else None
@@ -80,7 +80,7 @@ def _some_length(expression: Expr, staging: Staging) -> float | None:
 def refuse_if_many(
     staging: Staging, count: float, cap: int, what: str, parts: str, edge: float, *path: Key, labels: tuple[Label, ...] = ()
 ) -> None:
-    """Report a request for more than `cap` parts with an edge of `edge` mm, at a path in the scene."""
+    """Report an error for a request of more than `cap` parts with an edge of `edge` mm, at a path in the scene."""
     if count > cap:
         size = f"{count * 8 / limits.GIB:,.0f} GiB" if count * 8 > limits.GIB else f"{count * 8 / limits.MIB:,.0f} MiB"
         message = f"{what} would need at least {count:,.0f} {parts} of {edge:g} mm (about {size}), more than {cap:,}"

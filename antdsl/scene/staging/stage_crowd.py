@@ -1,4 +1,4 @@
-"""Lines of a scene's crowd: where their agents begin, and a way that they are led."""
+"""Crowd lines of a scene: where their agents start, and their walks."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ Places = Mapping[str, stage_of.Point]
 def point(
     staging: Staging, places: Places, around: Point | str | None, radius: Quantity | None, *path: Key, key: str = "around"
 ) -> stage_of.Point | None:
-    """Where something lies about: a point, an item's place, the origin where only a radius is given."""
+    """Return the centre of something: a point, an item's position, or the origin if only a radius is given."""
     if around is None:
         return None if radius is None else (0.0, 0.0, 0.0)
     if not isinstance(around, str):
@@ -74,14 +74,14 @@ def place(staging: Staging, places: Places, place: Placement, *path: Key) -> sta
 
 
 def _unit(ways: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Ways (n, 3) at length 1, nan where there is none."""
+    """Return vectors (n, 3) normalized to length 1, nan where there is no direction."""
     size = np.sqrt((ways[:, 0] * ways[:, 0] + ways[:, 1] * ways[:, 1]) + ways[:, 2] * ways[:, 2])
     found: NDArray[np.float64] = ways / np.where(size > 0, size, np.nan)[:, None]
     return found
 
 
 def _values(file: UsdFile, species: str) -> dict[str, NDArray[np.float64]]:
-    """Attributes of a species that points or empties say something of."""
+    """Return the attributes of a species for which points or empties have values."""
     declared = file.staging.program.species[species].attributes
     own = {a.name: a.type.dim for a in declared if a.type.kind is Kind.NUMBER and not a.each}
     own |= {a.name: Dim() for a in declared if a.type.kind is Kind.BOOL}
@@ -101,7 +101,7 @@ def walk(scene: Scene, walk: Walk | None) -> stage_of.WalkData | None:
 
 
 def _apart(scene: Scene, apart: Quantity | str | None) -> float:
-    """How far apart (mm) agents of a line begin; inf: evenly."""
+    """Return the least distance (mm) between agents of a line at the start; inf: evenly distributed."""
     if isinstance(apart, str):
         return math.inf
     return length(scene, apart) or 0.0

@@ -1,4 +1,4 @@
-"""Flows and maps of a scene: what they name is held against the program, their files are read, all is turned to millimetres."""
+"""Flows and maps of a scene: names are checked against the program, files are read, everything is converted to millimetres."""
 
 from __future__ import annotations
 
@@ -30,12 +30,12 @@ FlowThing = model.FlowThing | model.PaintedThing
 
 
 def is_file(text: str) -> bool:
-    """Whether a target is the path of a file and no name of the world."""
+    """Return whether a target is the path of a file and not a name of the world."""
     return any(sign in text for sign in "./:")
 
 
 def goal_of(thing: FlowThing) -> tuple[str, model.Point | str] | None:
-    """The key and the value of what a flow leads to."""
+    """Return the key and the value of a flow's target."""
     key = next((key for key in _GOALS if hasattr(thing, key)), None)
     return None if key is None else (key, getattr(thing, key))
 
@@ -44,7 +44,7 @@ def goal_of(thing: FlowThing) -> tuple[str, model.Point | str] | None:
 
 
 def match_flow(scene: Scene, program: Program, report: Report, name: str, thing: FlowThing) -> tuple[str, str] | None:
-    """Complain of what a flow or map names and what is not there. Gives (key, path) of a file that is still to be looked for."""
+    """Report names in a flow or map that do not exist. Returns (key, path) of a file that is still to be checked."""
     surfaces = [n for n, t in program.world.items() if t.kind == "surface"]
     if not surfaces and not isinstance(thing, model.SpreadFlow):
         report.error(
@@ -101,7 +101,7 @@ def _match_solved(scene: Scene, program: Program, report: Report, name: str, thi
 
 
 def _may_move(scene: Scene) -> bool:
-    """Whether anything of the world moves, as far as can be seen without opening files."""
+    """Return whether anything of the world may move, as far as is known without opening files."""
     things = [each for value in scene.model.world.values() for each in (value.values() if isinstance(value, dict) else (value,))]
     paths = (getattr(each, key, None) for each in things for key in ("mesh", "curve"))
     return any(getattr(each, "keys", None) or hasattr(each, "usd") for each in things) or any("#" in p for p in paths if p)
@@ -116,7 +116,7 @@ def _goals(scene: Scene, program: Program, lines_only: bool) -> list[str]:
 
 
 def _own_surface(scene: Scene, surfaces: list[str], thing: model.PaintedThing) -> str | None:
-    """The surface whose own file has the paint."""
+    """Return the surface with the paint in its own file."""
     meshes = {n: scene.model.world.get(n) for n in surfaces}
     own = [n for n, m in meshes.items() if thing.painted in (getattr(m, "mesh", None), getattr(m, "usd", None))]
     return own[0] if len(own) == 1 else None
@@ -218,7 +218,7 @@ def _target(
 
 
 def _no_target(staging: Staging, name: str, key: str, goal: str, items: Mapping[str, tuple[stage_of.ItemData, ...]]) -> None:
-    """Complain of a goal that is no item, as far as nothing else was told that may be why."""
+    """Report a goal that is no item, unless another message already explains it."""
     if not staging.report.ok:
         return
     if goal in items:
@@ -230,7 +230,8 @@ def _no_target(staging: Staging, name: str, key: str, goal: str, items: Mapping[
 
 
 def _painted(staging: Staging, name: str, thing: model.PaintedThing, width: int) -> stage_of.Painted | None:
-    """The values of a map (width 1) or the vectors of a flow (3) on the vertices or faces of a surface as it is in the scene."""
+    """Return the values of a map (width 1) or the vectors of a flow (3) on the vertices or faces of a surface as it is in the
+    scene."""
     surfaces = [n for n, t in staging.program.world.items() if t.kind == "surface"]
     surface = thing.on or _own_surface(staging.scene, surfaces, thing) or surfaces[0]
     raw, mesh = staging.raw.get(surface), staging.scene.model.world.get(surface)
@@ -239,7 +240,7 @@ def _painted(staging: Staging, name: str, thing: model.PaintedThing, width: int)
         return None if values is None else stage_of.Painted(surface, values, False)
     data = staging.read(thing.painted, limits.MESH_BYTES, "world", name, "painted")
     if data is None or raw is None or not isinstance(mesh, model.MeshThing | model.HeightThing):
-        return None  # what is wrong with the mesh was told with the mesh
+        return None  # the problem was reported with the mesh
     span = staging.scene.span("world", name, "painted")
     attribute = name if thing.attribute is None else thing.attribute
     try:
@@ -268,7 +269,7 @@ def _painted(staging: Staging, name: str, thing: model.PaintedThing, width: int)
 
 
 def _own_rows(rows: NDArray[np.float64], raw: RawMesh) -> tuple[NDArray[np.float64], bool] | None:
-    """The rows of those vertices or faces of the file that are in the scene."""
+    """Return the rows of the file's vertices or faces that are in the scene."""
     vertices, faces = raw.counts
     if len(rows) == vertices:
         return rows[raw.own_vertices], False
@@ -276,7 +277,7 @@ def _own_rows(rows: NDArray[np.float64], raw: RawMesh) -> tuple[NDArray[np.float
 
 
 def check_densities(staging: Staging, maps: Mapping[str, stage_of.Painted]) -> None:
-    """Complain of a crowd that is placed by a map which is nowhere above 0, or painted on another surface."""
+    """Report a crowd that is placed by a map which is nowhere above 0, or painted on another surface."""
     for number, line in enumerate(staging.scene.model.crowd):
         name = line.place.density
         if name is None or name not in maps:

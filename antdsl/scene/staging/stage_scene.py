@@ -1,7 +1,7 @@
-"""A matched scene to a `Setting`: meshes and points are read, everything is turned to millimetres and the scene's axes.
+"""Turns a matched scene into a `Setting`: meshes and points are read, everything is converted to millimetres and the scene's
+axes.
 
-What binding would need in memory is computed first, so that a request for a billion cells is refused before anything is
-allocated."""
+The memory that binding would need is computed first. Thus a request for a billion cells is rejected before any allocation."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ _UP = {"y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
 
 @dataclass(slots=True)
 class Staging:
-    """A setting in the making: the report, and a hash of the bytes of each file that was read."""
+    """A setting under construction: the report, and a hash of the bytes of each file that was read."""
 
     scene: Scene
     program: Program
@@ -56,7 +56,7 @@ class Staging:
     welds: dict[str, int] = field(default_factory=dict)  # vertices that were moved onto others, by mesh
 
     def read(self, text: str, cap: int, *path: Key) -> bytes | None:
-        """A file's bytes, or None and a complaint at the path that names it."""
+        """Return a file's bytes; or report an error at the path that names it and return None."""
         try:
             data = self.scene.roots.read(text, cap)
         except PathRefused as refused:
@@ -66,7 +66,8 @@ class Staging:
         return data
 
     def beside(self, text: str) -> Callable[[str, int], bytes]:
-        """Reads files that a file of the scene names relative to its own folder. PathRefused where they lie elsewhere."""
+        """Return a reader of files that a file of the scene names relative to its own folder. It raises PathRefused for files
+        elsewhere."""
         root, colon, path = text.rpartition(":")
         folder = posixpath.dirname(path)
 
@@ -79,7 +80,7 @@ class Staging:
         return read
 
     def points(self, text: str, least: int, *path: Key) -> NDArray[np.float64] | None:
-        """At least so many points of a JSON file, in the file's own units, or None and a complaint."""
+        """Return at least `least` points of a JSON file, in the file's own units; or report an error and return None."""
         data = self.read(text, POINT_BYTES, *path)
         if data is None:
             return None
@@ -90,7 +91,7 @@ class Staging:
             return None
 
     def sequence(self, text: str, *path: Key) -> dict[int, str] | None:
-        """The files of a path with `####` by frame, or None and a complaint."""
+        """Return the files of a path with `####` by frame; or report an error and return None."""
         try:
             return self.scene.roots.sequence(text)
         except PathRefused as refused:
@@ -101,7 +102,7 @@ class Staging:
 def stage(
     scene: Scene, program: Program, overrides: Mapping[str, Quantity] | None = None
 ) -> tuple[stage_of.Setting | None, Report, dict[str, str]]:
-    """The setting, what there is to complain about, and a hash for each file read. `overrides` are params given by the person."""
+    """Return the setting, the report, and a hash of each file read. `overrides`: params from the user."""
     staging = Staging(scene, program)
     model = scene.model
     surfaces = _meshes(staging, "surface")
@@ -183,7 +184,7 @@ def stage(
 
 
 def import_reports(scene: Scene, program: Program) -> dict[str, MeshImport]:
-    """The report on each mesh that can be read, also where the scene has errors."""
+    """Return the report on each mesh that can be read, even if the scene has errors."""
     staging = Staging(scene, program)
     still = {**_meshes(staging, "surface"), **_meshes(staging, "obstacle")}
     return mesh_imports(staging, {**still, **{name: solid.mesh for name, solid in _solids(staging).items()}})
@@ -215,7 +216,7 @@ def _meshes(staging: Staging, kind: str) -> dict[str, stage_of.MeshData]:
 
 
 def _mesh(staging: Staging, name: str, value: MeshThing | HeightThing | UsdThing) -> stage_of.MeshData | None:
-    """A mesh where it is at the first frame; how it moves goes into `staging.moves`."""
+    """Return a mesh as at the first frame; its motion goes into `staging.moves`."""
     scene, report = staging.scene, staging.report
     up, unit_mm = scene.model.up, scene.model.unit_mm
     if isinstance(value, UsdThing):
@@ -292,7 +293,7 @@ def _heights(staging: Staging, name: str, value: HeightThing) -> tuple[RawMesh, 
 
 
 def _solids(staging: Staging) -> dict[str, stage_of.SolidData]:
-    """The solids; a request for more voxels than can be is refused before one is made."""
+    """Return the solids. A request for too many voxels is rejected before any is created."""
     scene, found = staging.scene, {}
     for name, mesh in _meshes(staging, "solid").items():
         value = scene.model.world[name]
@@ -311,7 +312,7 @@ def _solids(staging: Staging) -> dict[str, stage_of.SolidData]:
 
 
 def _curves(staging: Staging) -> dict[str, NDArray[np.float64]]:
-    """The points (frames, k, 3) of each curve, a single frame where it stands still."""
+    """Return the points (frames, k, 3) of each curve, a single frame if it is static."""
     found = {}
     for name, value in staging.scene.model.world.items():
         thing = staging.program.world.get(name)

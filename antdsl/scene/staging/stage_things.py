@@ -1,5 +1,5 @@
-"""Things of the world that are more than one still file: parts of USD files, files per frame, keys. All to mm, the scene's axes
-and places at every frame that is simulated."""
+"""Things of the world that are more than one static file: parts of USD files, files per frame, keys. All are converted to mm, the
+scene's axes and positions at every simulated frame."""
 
 from __future__ import annotations
 
@@ -47,13 +47,13 @@ T = TypeVar("T")
 
 
 def frames_of(staging: Staging) -> range:
-    """The frames that are simulated, the preroll's included; the first is the one at which meshes stand at rest."""
+    """Return the simulated frames, including the preroll. At the first, meshes are at rest."""
     model = staging.scene.model
     return range(model.frames.first - model.preroll, model.frames.last + 1)
 
 
 def sequence(staging: Staging, text: str, *path: Key) -> list[str] | None:
-    """The file of each frame, where a path has `####`; before the first and after the last that there is, these hold."""
+    """Return the file of each frame if a path has `####`. The first and last existing files hold outside."""
     files = staging.sequence(text, *path)
     if files is None:
         return None
@@ -75,8 +75,8 @@ def sequence(staging: Staging, text: str, *path: Key) -> list[str] | None:
 def key_places(
     keys: Mapping[int, PlaceKey], own_at: Point | None, own_turn: Turn | None, frames: Sequence[int], unit_mm: float
 ) -> tuple[Floats, Floats] | None:
-    """Place (frames, 3) in mm and turn (frames, 3) in radians at each frame, or None where there is no key. What no key says is
-    as the thing itself says it."""
+    """Return position (frames, 3) in mm and rotation (frames, 3) in radians at each frame, or None without keys. What no key
+    defines comes from the thing itself."""
     if not keys:
         return None
     at = {f: millimetres(key.at, unit_mm) for f, key in keys.items() if key.at is not None}
@@ -95,7 +95,7 @@ def _between(keys: Mapping[int, tuple[float, ...]], frames: Sequence[int]) -> Fl
 
 
 def _ways(staging: Staging, value: MeshThing | HeightThing | UsdThing | CurveThing, factor: float, own_up: str) -> Floats | None:
-    """The ways (frames, 3, 4) of a file's places into the scene where the scene has keys for it."""
+    """Return the transforms (frames, 3, 4) of a file's positions into the scene, if the scene has keys for it."""
     model, frames = staging.scene.model, frames_of(staging)
     placed = key_places(value.keys, value.at, getattr(value, "rotate", None), frames, model.unit_mm)
     if placed is None:
@@ -112,7 +112,7 @@ def _ways(staging: Staging, value: MeshThing | HeightThing | UsdThing | CurveThi
 
 
 def moving_mesh(staging: Staging, name: str, value: MeshThing) -> tuple[RawMesh, MeshMoves | None] | None:
-    """A mesh of files per frame, and the moves of its vertices in the file's own units and axes."""
+    """Return a mesh from files per frame, and the motion of its vertices in the file's own units and axes."""
     files = sequence(staging, value.mesh, "world", name, "mesh")
     if files is None:
         return None
@@ -171,7 +171,7 @@ def usd_mesh(staging: Staging, name: str, value: UsdThing) -> tuple[RawMesh, Mes
 def placed_moves(
     staging: Staging, value: MeshThing | HeightThing | UsdThing, raw: RawMesh, inner: MeshMoves | None, factor: float, own_up: str
 ) -> tuple[Floats, MeshMoves | None] | None:
-    """The vertices at rest and the moves of a mesh that moves in its file, by keys, or both; None where it does neither."""
+    """Return the vertices at rest and the motion of a mesh that moves in its file, by keys, or both; None if it does not move."""
     ways = _ways(staging, value, factor, own_up)
     if inner is None and ways is None:
         return None
@@ -185,7 +185,7 @@ def placed_moves(
 
 
 def first_turn(staging: Staging, value: MeshThing | HeightThing | UsdThing) -> tuple[float, float, float]:
-    """How a mesh is turned at the first frame, radians about x, then y, then z."""
+    """Return the rotation of a mesh at the first frame, radians about x, then y, then z."""
     placed = key_places(value.keys, value.at, value.rotate, frames_of(staging)[:1], staging.scene.model.unit_mm)
     if placed is not None:
         x, y, z = placed[1][0].tolist()
@@ -199,7 +199,7 @@ def shortened(vectors: Floats) -> Floats:
 
 
 def usd_paint(staging: Staging, name: str, thing: PaintedThing, mesh: UsdThing, width: int) -> Floats | None:
-    """A primvar on the vertices of a surface that comes from the same USD file: numbers (width 1) or vectors (3) in the scene."""
+    """Return a primvar on the vertices of a surface from the same USD file: numbers (width 1) or vectors (3) in the scene."""
     from antdsl.scene.geometry.usd import read_usd_mesh
 
     attribute = name if thing.attribute is None else thing.attribute
@@ -227,7 +227,7 @@ def usd_paint(staging: Staging, name: str, thing: PaintedThing, mesh: UsdThing, 
 
 
 def curve_places(staging: Staging, name: str, value: CurveThing | UsdThing) -> Floats | None:
-    """The points (frames, k, 3) of a curve, one frame where it stands still."""
+    """Return the points (frames, k, 3) of a curve, one frame if it is static."""
 
     model = staging.scene.model
     if isinstance(value, UsdThing):
@@ -272,7 +272,7 @@ def curve_places(staging: Staging, name: str, value: CurveThing | UsdThing) -> F
 
 
 def item_places(staging: Staging, name: str, item: str, thing: ItemThing) -> Floats:
-    """Where an item's keys put it (frames, 3), in mm; one frame where it has none."""
+    """Return the positions (frames, 3) of an item by its keys, in mm; one frame if it has none."""
     unit_mm = staging.scene.model.unit_mm
     placed = key_places(thing.keys, thing.at, None, frames_of(staging), unit_mm)
     if placed is None:
@@ -285,7 +285,7 @@ def item_places(staging: Staging, name: str, item: str, thing: ItemThing) -> Flo
 
 
 def usd_items(staging: Staging, name: str, value: UsdThing) -> UsdPoints | None:
-    """The points below a prim, or the empties of a kind, moved as the scene says."""
+    """Return the points below a prim, or the empties of a kind, moved as the scene says."""
     from dataclasses import replace
 
     from antdsl.scene.geometry.usd import read_usd_points
@@ -306,7 +306,7 @@ def usd_items(staging: Staging, name: str, value: UsdThing) -> UsdPoints | None:
 
 
 def usd_places(staging: Staging, value: UsdPlaces, *path: Key) -> UsdPoints | None:
-    """A line of the crowd's points or empties, in mm and the scene's axes."""
+    """Return the points or empties of a crowd line, in mm and the scene's axes."""
     from antdsl.scene.geometry.usd import read_usd_points
 
     species = staging.scene.model.crowd[int(path[1])].species
@@ -316,7 +316,7 @@ def usd_places(staging: Staging, value: UsdPlaces, *path: Key) -> UsdPoints | No
 
 
 def riding(mesh: stage_of.MeshData, moves: MeshMoves, place: stage_of.Point) -> Floats:
-    """Where a point of a moving surface is at each frame (frames, 3): it stays on its triangle."""
+    """Return the position of a point of a moving surface at each frame (frames, 3): it stays on its triangle."""
     corners = mesh.vertices[mesh.faces]
     a, b, c = corners[:, 0], corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
     normal = np.cross(b, c)
@@ -339,7 +339,7 @@ def riding(mesh: stage_of.MeshData, moves: MeshMoves, place: stage_of.Point) -> 
 
 
 def _usd(staging: Staging, text: str, prim: str, purpose: str, path: tuple[Key, ...], read: Callable[[UsdStage], T]) -> T | None:
-    """What a reader finds at a prim, or None and a complaint at its place in the scene."""
+    """Return a reader's result at a prim; or report an error at its location in the scene and return None."""
     from antdsl.scene.geometry.usd import UsdError, open_stage
 
     model = staging.scene.model

@@ -1,4 +1,4 @@
-"""Numbers and words that a USD file gives its points and empties, as values of attributes in base units."""
+"""Numbers and words of a USD file's points and empties, as values of attributes in base units."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _SAID = ("max_turn", "min_speed")  # an agent has these only where its species s
 
 @dataclass(frozen=True, slots=True, eq=False)
 class UsdFile:
-    """What was found in a file, with the file's name and the place of the scene that names it."""
+    """Contents of a file, with the file's name and where the scene names it."""
 
     staging: Staging
     name: str
@@ -35,8 +35,8 @@ class UsdFile:
 
 
 def in_base_units(file: UsdFile, key: str, dim: Dim) -> NDArray[np.float64]:
-    """What the file says of an attribute (n,), nan where it says nothing: numbers are in the file's unit of length, degrees and
-    seconds, words are numbers with a unit as in a scene."""
+    """Return the file's values of an attribute (n,), nan where it has none. Numbers are in the file's unit of length, degrees and
+    seconds; words are numbers with a unit as in a scene."""
     found, report = file.found, file.staging.report
     factor = float(found.unit**dim.length * np.radians(1.0) ** dim.angle)
     column: NDArray[np.float64] = found.values.get(key, np.full(len(found.names), np.nan)) * factor
@@ -66,7 +66,8 @@ def in_base_units(file: UsdFile, key: str, dim: Dim) -> NDArray[np.float64]:
 
 
 def tell_near_misses(file: UsdFile, of: str, known: Collection[str]) -> None:
-    """Warn of properties of the file that no attribute takes, where one is named nearly so. Others mean other programs."""
+    """Warn about properties of the file that no attribute takes but that are spelled almost like one. Other properties belong to
+    other programs."""
     keys = sorted({*file.found.values, *file.found.texts} - {*known, "kind", "name"})
     near = {key: "" if key in _SAID else nearest_name(key, known) for key in keys if key in _SAID or nearest_name(key, known)}
     if near:

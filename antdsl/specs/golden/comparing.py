@@ -1,4 +1,4 @@
-"""The golden runs of one `antdsl test`: which run is held against which, and what `--update` writes anew."""
+"""The golden runs of one `antdsl test`: which run is compared with which, and what `--update` rewrites."""
 
 from __future__ import annotations
 
@@ -25,8 +25,8 @@ Key = tuple[Path, tuple[tuple[str, str], ...]]
 
 @dataclass(slots=True)
 class Goldens:
-    """`update`: of each scene, and each set of changed params, the first seed is made a golden run; else what is kept is held
-    against the run. What is wrong with a file stands in `report`."""
+    """`update`: the first seed of each scene and each set of changed params becomes a golden run. Otherwise the stored run is
+    compared. Problems of a file are in `report`."""
 
     update: bool = False
     report: Report = field(default_factory=Report)
@@ -35,7 +35,7 @@ class Goldens:
     recorders: dict[Key, tuple[Run, Recorder]] = field(default_factory=dict)
 
     def watch(self, run: Run, frames: int) -> Watch | None:
-        """What is to look at a run of about so many frames, if anything."""
+        """Return the watch for a run of about `frames` frames, or None."""
         scene = run.cases[0].scene
         changes = {change.name: "".join(change.value.span.text.split()) for change in run.cases[0].spec.changes}
         result = GoldenResult(scene, dict(sorted(changes.items())), run.seed)
@@ -64,7 +64,8 @@ class Goldens:
         return self.files[path]
 
     def write(self) -> None:
-        """With `update`, write what was recorded. A run that failed its specs is not made golden. Other runs of a file stay."""
+        """With `update`, write what was recorded. A run that failed its specs does not become golden. Other runs of a file
+        stay."""
         new: dict[Path, list[GoldenRun]] = {}
         for run, recorder in self.recorders.values():
             if any(case.outcome == "failed" for case in run.cases):
@@ -79,7 +80,7 @@ class Goldens:
         try:
             old = read_golden(path)
         except GoldenError:
-            old = None  # damaged: that is what it is written anew for
+            old = None  # damaged: the reason to rewrite it
         fresh = {(tuple(sorted(run.set.items())), run.seed) for run in runs}
         others = [] if old is None else [run for run in old.runs if (tuple(sorted(run.set.items())), run.seed) not in fresh]
         write_golden(path, [*others, *runs])

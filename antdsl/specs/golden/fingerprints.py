@@ -1,9 +1,8 @@
-"""A state told in a few words for each attribute: a sum and a weighted sum of its bits, and its mean.
+"""A compact fingerprint of a state: for each attribute a sum and a weighted sum of its bits, and its mean.
 
-Two sums over all agents are enough to find the one agent that differs and what its value was: with bits b and ids k, the sums of
-b and of (k + 1) b change by d and (k + 1) d (the checksums of J. Fletcher, IEEE Trans. Comm. 30, 1982, taken modulo 2^64). Where
-several differ, they tell that they do, and a digest of a few agents tells some of them.
-"""
+Two sums over all agents suffice to find the one agent that differs and its former value. With bits b and ids k, the sums of b and
+(k + 1) b change by d and (k + 1) d. These are the checksums of J. Fletcher, IEEE Trans. Comm. 30, 1982, modulo 2^64. If several
+agents differ, the sums show that they do, and a digest of a few agents identifies some of them."""
 
 from __future__ import annotations
 
@@ -24,7 +23,7 @@ from antdsl.specs.value_text import shown
 
 _NAMED = 8  # agents named of those that differ
 SAMPLED = 64  # agents of a species that a digest tells apart
-_FEW = 8  # values that are told one by one
+_FEW = 8  # values that are reported one by one
 _PLAIN = Type(Kind.NUMBER)
 _MOVING = ("velocity", "heading", "up", "position")
 _MIX = np.uint64(0x9E3779B97F4A7C15)
@@ -34,7 +33,7 @@ _MIX = np.uint64(0x9E3779B97F4A7C15)
 class Column:
     """One attribute of all agents of a species (in the order of their ids), of all items of a name, or of all cells of a field.
 
-    `rank`: which of several to tell first. `opaque`: the values say nothing to a reader. `names` of items, by number."""
+    `rank`: the order in reports. `opaque`: the values mean nothing to a reader. `names`: of items, by number."""
 
     who: str
     what: str
@@ -64,7 +63,7 @@ class Column:
         return int(bits.sum(dtype=np.uint64)), int(((self.ids + 1).astype(np.uint64) * bits).sum(dtype=np.uint64))
 
     def one(self, was: tuple[int, int]) -> tuple[int, Any] | None:
-        """The row of the one value that differs from when the sums were so, and what it was; None where several do."""
+        """Return the row of the only value that changed since the sums were `was`, and its old value; None if several changed."""
         now = self.sums()
         changed, weighted = ((b - a) % 2**64 for a, b in zip(was, now, strict=True))
         here = np.flatnonzero((self.ids + 1).astype(np.uint64) * np.uint64(changed) == np.uint64(weighted))
@@ -81,7 +80,8 @@ class Column:
         return shown(world, value, self.type, self.unit)
 
     def summary(self, world: World) -> str:
-        """The values where there are few of them; else how many agents are in each state, for how many it is so, or the mean."""
+        """Return the values if there are few of them; else how many agents are in each state, for how many a truth holds, or the
+        mean."""
         if self.opaque or not len(self.values):
             return ""
         if len(self.values) <= _FEW:
@@ -126,7 +126,7 @@ def _digests(world: World) -> dict[str, bytes]:
 
 
 def _of_agents(world: World, program: Program, population: Population) -> list[Column]:
-    """Columns of what an author knows by a name; all the rest, memories and footings, is folded into one."""
+    """Return columns of what an author knows by a name. The rest, memories and footings, is combined in one column."""
     rows = population.in_id_order()
     ids, name = population.ids[rows], population.name
     species = program.species[name]
@@ -166,7 +166,7 @@ def _column(who: str, key: str, mine: dict[str, Type], ids: NDArray[np.int64], v
 
 
 def digest(world: World, population: Population, program: Program) -> str:
-    """Four hexadecimal digits for each of the agents that `sampled` names."""
+    """Return four hexadecimal digits for each of the agents that `sampled` names."""
     mixed = np.zeros(len(population), np.uint64)
     for column in _of_agents(world, program, population):
         mixed = (mixed ^ column.bits()) * _MIX
@@ -175,14 +175,14 @@ def digest(world: World, population: Population, program: Program) -> str:
 
 
 def sampled(count: int) -> NDArray[np.int64]:
-    """Which of so many agents, by their place in the order of ids, a digest tells apart."""
+    """Return which of `count` agents a digest distinguishes, by index in the order of ids."""
     return np.unique(np.arange(SAMPLED) * count // SAMPLED) if count else np.zeros(0, np.int64)
 
 
 @dataclass(frozen=True, slots=True)
 class Difference:
-    """`whom`: the agent, item or cell, where it is one and known which, or some of the agents that differ; empty where none is
-    known. `now` and `was` in the author's words; empty where they cannot be told."""
+    """`whom`: the agent, item or cell, if it is a single known one, or some of the agents that differ; empty if none is known.
+    `now` and `was`: values in the author's terms; empty if they are unknown."""
 
     who: str
     what: str
@@ -201,7 +201,8 @@ class Difference:
 def differences(
     world: World, program: Program, was: Mapping[str, tuple[str, str, str]], agents: Mapping[str, str]
 ) -> list[Difference]:
-    """All attributes that differ, the most telling first. `was`: sums and words by key, `agents`: digests by species."""
+    """Return all attributes that differ, the most informative first. `was`: sums and words by key; `agents`: digests by
+    species."""
     now = columns(world, program)
     some = {name: _some(world, program, name, text) for name, text in agents.items() if name in world.populations}
     found: list[tuple[int, Difference]] = []
@@ -225,7 +226,7 @@ def differences(
 
 
 def _are_others(now: Mapping[str, Column], was: Mapping[str, tuple[str, str, str]], species: str) -> bool:
-    """Whether these are not the agents that there were: what one of them has cannot be held against what another had."""
+    """Return whether the agents are not the same as before: then their values cannot be compared."""
     key = f"{species}.id"
     return key in now and key in was and now[key].sums() != (int(was[key][0], 16), int(was[key][1], 16))
 
@@ -250,7 +251,7 @@ def _name(column: Column, row: int) -> str:
 
 
 def _some(world: World, program: Program, name: str, text: str) -> str:
-    """Which of the agents that a digest tells apart differ; nothing where it is not about the same agents."""
+    """Return which of the agents in a digest differ; empty if the digest is not about the same agents."""
     population = world.populations[name]
     rows, now = sampled(len(population)), digest(world, population, program)
     if len(now) != len(text):

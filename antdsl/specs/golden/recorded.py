@@ -1,8 +1,8 @@
-"""Golden runs: what a run came to, kept as text beside its scene; a later run is held against it frame by frame.
+"""Golden runs: the results of a run, stored as text beside its scene; a later run is compared with it frame by frame.
 
-`scene.golden.json` has a hash for every frame, and every so many frames, at most STATIONS times in all, what is in
-`fingerprints`. So the first frame that differs is always known; which attribute of whom, there or at the next of those frames.
-"""
+`scene.golden.json` has a hash for every frame. At most STATIONS times, at regular intervals, it also has the content of
+`fingerprints`. Thus the first frame that differs is always known. Which attribute of which agent differs is known there or at the
+next of those frames."""
 
 from __future__ import annotations
 
@@ -27,9 +27,9 @@ from antdsl.whole import write_whole
 
 STATIONS = 48
 _BYTES = 64 * limits.MIB
-_FIRST = re.compile(rb'\s*\{\s*"golden"\s*:\s*1\b')  # of runs whose states were hashed as SHA-256 of all rows
+_FIRST = re.compile(rb'\s*\{\s*"golden"\s*:\s*1\b')  # of runs with states hashed as SHA-256 of all rows
 Word = Annotated[str, Field(max_length=2000)]
-Sums = tuple[Word, Word, Word]  # sum and weighted sum of the bits, hexadecimal; what is told of the values
+Sums = tuple[Word, Word, Word]  # sum and weighted sum of the bits, hexadecimal; what is reported of the values
 
 
 class Part(BaseModel):
@@ -37,7 +37,7 @@ class Part(BaseModel):
 
 
 class Frame(Part):
-    """`parts` are those that differ from the frame before that had any; `agents` the digests by species."""
+    """A frame. `parts`: those that differ from the last frame with parts; `agents`: the digests by species."""
 
     frame: int
     hash: Word
@@ -46,7 +46,7 @@ class Frame(Part):
 
 
 class GoldenRun(Part):
-    """A run by its changed params and its seed, with its `summary` at the last frame for people to read."""
+    """A run by its changed params and its seed, with a readable `summary` of the last frame."""
 
     set: dict[Word, Word]
     seed: int
@@ -61,13 +61,13 @@ class Golden(Part):
 
 
 class GoldenError(Exception):
-    """Why a file is no golden file, in words that stand alone."""
+    """Why a file is not a golden file, in words that stand alone."""
 
 
 @dataclass(slots=True)
 class GoldenResult:
-    """What became of a golden run: same, differs, written, or waiting. `frame` is the first that differs; `seen` the one at which
-    `found` was found out; `made`: where the golden run was made, if not in a place like this."""
+    """The outcome of a golden run: same, differs, written, or waiting. `frame`: the first that differs; `seen`: the frame in
+    which `found` was determined; `made`: where the golden run was recorded, if the environment is different."""
 
     scene: Path
     changes: Mapping[str, str]
@@ -86,7 +86,7 @@ class GoldenResult:
 
 
 class Watch(Protocol):
-    """Looks at each frame of a run; the run goes on at least until it is over."""
+    """Looks at each frame of a run, which continues at least until `over` is true."""
 
     @property
     def over(self) -> bool: ...
@@ -95,7 +95,7 @@ class Watch(Protocol):
 
 
 def golden_path(scene: Path) -> Path:
-    """Where the golden runs of a scene are kept."""
+    """Return the path of a scene's golden runs."""
     return scene.with_name(f"{scene.stem}.golden.json")
 
 
@@ -108,7 +108,7 @@ def here() -> dict[str, str]:
 
 
 def read_golden(path: Path) -> Golden | None:
-    """The golden runs of a file, None where there is no file; GoldenError says what is wrong with one."""
+    """Return the golden runs of a file, None if there is no file. Raises GoldenError if it is not valid."""
     try:
         data = read_bounded(path, _BYTES)
         if _FIRST.match(data):
@@ -125,7 +125,7 @@ def read_golden(path: Path) -> Golden | None:
 
 
 def write_golden(path: Path, runs: Iterable[GoldenRun]) -> None:
-    """Write golden runs, a line for each frame, so that a comparison of texts shows what changed."""
+    """Write golden runs, one line per frame, so that a text comparison shows what changed."""
     lines = [f'{{"golden": 2,\n"made": {json.dumps(here())},\n"runs": [']
     ordered = sorted(runs, key=lambda run: (sorted(run.set.items()), run.seed))
     for number, run in enumerate(ordered):
@@ -139,7 +139,7 @@ def write_golden(path: Path, runs: Iterable[GoldenRun]) -> None:
 
 
 class Recorder:
-    """Makes a golden run out of a run of about `frames` frames. It is over whenever the run is."""
+    """Records a golden run from a run of about `frames` frames. It does not prolong the run."""
 
     over = True
 
@@ -170,7 +170,7 @@ class Recorder:
 
 
 class Comparer:
-    """Holds a run against a golden one: `result` says how it came out."""
+    """Compares a run with a golden one; `result` has the outcome."""
 
     def __init__(self, run: Run, result: GoldenResult, golden: GoldenRun, made: Mapping[str, str]) -> None:
         self.program, self.result, self.golden = run.shot.program, result, golden

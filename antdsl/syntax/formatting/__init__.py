@@ -1,5 +1,5 @@
-"""A text to the same program in the one layout.
+"""Formats a text in the one layout without changing the program.
 
-`layout` is the door: tokens become `items` (statements with their blocks, and comments), `brackets` decides the blanks between
-words, `columns` puts marks of neighbouring lines below each other, `lines` breaks what is too long. What comes out is parsed and
-held against what went in before anybody gets it."""
+`layout` is the interface. Tokens become `items` (statements with their blocks, and comments). `brackets` decides the blanks
+between words, `columns` aligns marks of neighbouring lines, `lines` breaks long lines. The output is parsed and compared with the
+input before it is returned."""

@@ -1,6 +1,6 @@
 """Tokens → words with the blank before each, and brackets with the slots between their commas.
 
-A comment inside brackets stands behind a slot or on lines of its own before it; one from the middle of a slot goes before it."""
+A comment inside brackets stands behind a slot or on separate lines before it; one from the middle of a slot moves before it."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _LEVELS = (("..",), ("then", "else"), ("or",), ("and",), ("<", ">", "<=", ">=", 
 
 @dataclass(slots=True)
 class Leaf:
-    """One token as it is written, and whether a blank stands before it. `joins` is true for a sign between two values."""
+    """One token as in the source, and whether a blank precedes it. `joins`: true for a sign between two values."""
 
     text: str
     blank: bool
@@ -31,8 +31,8 @@ class Leaf:
 
 @dataclass(slots=True)
 class Slot:
-    """What stands between two commas, the comma included. `lead` are comments on lines before it, `trail` is the one behind it,
-    `inner` those in its middle, by the number of the node before which they stand."""
+    """The content between two commas, with the comma. `lead`: comments on lines before it; `trail`: the comment after it;
+    `inner`: those in its middle, with the index of the node after each."""
 
     nodes: list[Node] = field(default_factory=list)
     lead: list[n.Comment] = field(default_factory=list)
@@ -47,14 +47,14 @@ class Slot:
 
     @property
     def forced(self) -> bool:
-        """Whether a comment in it makes it stand on lines of its own."""
+        """Return whether a comment in the slot forces it onto separate lines."""
         inner = any(isinstance(node, Bracket) and node.forced for node in self.nodes)
         return inner or bool(self.lead or self.trail or self.operands)
 
 
 @dataclass(slots=True)
 class Bracket:
-    """`( … )` or `[ … ]`. `tail` are comments before its end."""
+    """`( … )` or `[ … ]`. `tail`: comments before its end."""
 
     open: Leaf
     slots: list[Slot]
@@ -68,7 +68,7 @@ Node = Leaf | Bracket
 
 
 class Reader:
-    """Reads the nodes of one statement. `comments` gives the next comment before an offset."""
+    """Reads the nodes of one statement. `comments` returns the next comment before an offset."""
 
     def __init__(
         self, scan: Scan, calls: frozenset[int], minus: frozenset[int], comments: Callable[[int], n.Comment | None]
@@ -77,11 +77,11 @@ class Reader:
         self.last: Token | None = None
 
     def resume(self, token: Token) -> None:
-        """Go on after a block that ended with this token."""
+        """Continue after a block that ended with this token."""
         self.last = token
 
     def node(self, tokens: Sequence[Token], index: int) -> tuple[Node, int]:
-        """The node that begins with a token, and where the next one begins."""
+        """Return the node that begins with a token, and the index of the next one."""
         token = tokens[index]
         leaf = self.leaf(token)
         if token.kind != "open":
@@ -107,7 +107,7 @@ class Reader:
         return _measured(found), index + 1
 
     def place(self, comment: n.Comment, slots: list[Slot], token: Token, left: list[n.Comment]) -> None:
-        """Where a comment before `token` belongs, in the slots so far; into `left` where it comes after the last of them."""
+        """Assign a comment before `token` to the slots so far, or to `left` if it comes after the last of them."""
         slot = slots[-1]
         assert self.last is not None
         beside = "\n" not in self.scan.source.text[self.last.end : comment.span.start] and not left
@@ -157,7 +157,7 @@ def _is_comprehension(slot: Slot) -> bool:
 
 
 def operands(slot: Slot) -> list[Slot]:
-    """The slot cut before the signs that bind loosest; one when there are none."""
+    """Split the slot before its operators of lowest precedence; return it alone if there are none."""
     for level in _LEVELS:
         cuts = [k for k, node in enumerate(slot.nodes) if k and isinstance(node, Leaf) and node.joins and node.text in level]
         if cuts:
@@ -167,7 +167,7 @@ def operands(slot: Slot) -> list[Slot]:
 
 
 def _settled(slot: Slot) -> Slot:
-    """The slot with the comments of its middle before it, or between its operands."""
+    """Return the slot with its inner comments moved before it or between its operands."""
     if not slot.inner:
         return slot
     cut = operands(slot)
@@ -198,7 +198,7 @@ def _settled(slot: Slot) -> Slot:
 
 
 def _taken(nodes: Sequence[Node]) -> list[n.Comment]:
-    """The comments inside brackets, which are left without them."""
+    """Remove and return the comments inside brackets."""
     found: list[n.Comment] = []
     for node in nodes:
         if isinstance(node, Bracket) and node.forced:
@@ -211,7 +211,7 @@ def _taken(nodes: Sequence[Node]) -> list[n.Comment]:
 
 
 def _taken_from(slot: Slot) -> list[n.Comment]:
-    """The comments around a slot and between its operands."""
+    """Remove and return the comments around a slot and between its operands."""
     found = [*slot.lead, *([slot.trail] if slot.trail else [])]
     for operand in slot.operands:
         found += _taken_from(operand)
@@ -220,7 +220,7 @@ def _taken_from(slot: Slot) -> list[n.Comment]:
 
 
 def _measured(bracket: Bracket) -> Bracket:
-    """Notes a bracket's flat text and whether it has to be broken, so that nobody walks down into it again to ask."""
+    """Record a bracket's flat text and whether it must be broken, so that no later call descends into it again."""
     bracket.forced = bool(bracket.tail) or any(slot.forced for slot in bracket.slots)
     bracket.flat = bracket.open.flat + " ".join(slot.flat for slot in bracket.slots) + bracket.close.flat
     return bracket

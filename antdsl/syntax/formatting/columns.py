@@ -1,4 +1,4 @@
-"""Lines of one kind that follow each other → the same with their marks below each other: `->`, `=`, values, helps, comments."""
+"""Successive lines of one kind → the same with aligned marks: `->`, `=`, values, helps, comments."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ _COMMENT_GAP = 2  # blanks before a comment, at least
 
 @dataclass(slots=True)
 class Row:
-    """A statement or a comment on the way to its lines: the cells of its first line, by the kind it is aligned with, and the
-    lines that follow, if there are any. `alone` is true where its neighbours do not mind it."""
+    """A statement or a comment before layout: the cells of its first line, the kind it is aligned with, and the lines that
+    follow, if any. `alone`: it does not affect the alignment of its neighbours."""
 
     kind: str
     cells: list[str]
@@ -27,7 +27,7 @@ class Row:
 
 
 def cells(statement: Statement) -> tuple[str, list[Sequence[Node | Block]]]:
-    """What a statement that fits on one line is aligned with, and its parts cut at the marks. The last cell is the help."""
+    """Return the kind that a one-line statement is aligned with, and its parts cut at the marks. The last cell is the help."""
     parts, words = statement.parts, statement.words
     kind, mark = _kind(statement.rule, words)
     if mark is None:
@@ -58,7 +58,7 @@ def _second(parts: Sequence[Node | Block]) -> int | None:
 
 
 def _kind(rule: str, words: Sequence[str]) -> tuple[str, Mark | None]:
-    """By the rule and the first words of a line: the lines it is aligned with, and the mark."""
+    """Return, from the rule and the first words of a line, the kind it is aligned with, and the mark."""
     first = words[0] if words else ""
     if rule in ("world_item", "setting"):
         return rule, _second
@@ -77,14 +77,14 @@ def _kind(rule: str, words: Sequence[str]) -> tuple[str, Mark | None]:
 
 
 def _member(words: Sequence[str]) -> tuple[str, Mark | None]:
-    """A line of a species that begins with a name: an attribute, or something given."""
+    """Return the kind of a species line that begins with a name: an attribute or a given property."""
     if words[0] in ("start", "on", "layers", "machine", "state", "fuzzy") and words[1:2] not in (["="], [":"]):
         return "plain", None
     return ("declaration", _at("=")) if words[1:2] in (["="], [":"]) else ("given", _second)
 
 
 def aligned(rows: Sequence[Row], indent: int) -> list[str]:
-    """The lines of a block: marks below each other within a run of lines without a blank line or a comment line in between."""
+    """Return the lines of a block, with marks aligned within a run of lines without a blank line or a comment line in between."""
     lines: list[str] = []
     for run in _runs(rows):
         if run[0].blank_before:
@@ -100,7 +100,7 @@ def aligned(rows: Sequence[Row], indent: int) -> list[str]:
 
 
 def _runs(rows: Sequence[Row]) -> Iterator[list[Row]]:
-    """Rows that stand in lines one below the other; a comment line, and a statement of several lines, stands by itself."""
+    """Yield runs of rows on consecutive lines; a comment line, or a statement of several lines, is a separate run."""
     run: list[Row] = []
     for row in rows:
         if run and (row.blank_before or row.alone or run[-1].alone):
@@ -112,7 +112,7 @@ def _runs(rows: Sequence[Row]) -> Iterator[list[Row]]:
 
 
 def _marked(rows: Sequence[Row]) -> list[str]:
-    """The texts of rows of one kind, their cells below each other."""
+    """Return the texts of rows of one kind with aligned cells."""
     texts = [row.cells[0] for row in rows]
     for k in range(1, max(len(row.cells) for row in rows)):
         there = [len(row.cells) > k and row.cells[k] != "" for row in rows]

@@ -1,6 +1,6 @@
-"""A parsed file → the items that its layout is made of: statements with their blocks, and the comments, each where it belongs.
+"""A parsed file → the items of its layout: statements with their blocks, and comments, each where it belongs.
 
-Tokens and lines are those that the parser is given; the tree only tells which brackets follow a function and which minus has
+Tokens and lines are those of the parser. The tree is only used to find which brackets follow a function and which minus has
 nothing on its left."""
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from antdsl.syntax.words import BODIES
 
 @dataclass(slots=True)
 class Remark:
-    """A comment on a line of its own."""
+    """A comment on a separate line."""
 
     text: str
     blank_before: bool
@@ -29,8 +29,7 @@ class Remark:
 
 @dataclass(slots=True)
 class Block:
-    """What stands between two braces. `one_line` is true where all statements stood on one line; `head` is the comment after
-    `{`."""
+    """The content between two braces. `one_line`: true if all statements were on one line. `head`: the comment after `{`."""
 
     items: list[Item]
     one_line: bool
@@ -39,8 +38,8 @@ class Block:
 
 @dataclass(slots=True)
 class Statement:
-    """A statement: its words and brackets, with a `Block` in place of each pair of braces. `rule` is that of its block's lines in
-    the grammar, `comment` the one behind it."""
+    """A statement: its words and brackets, with a `Block` in place of each pair of braces. `rule`: the grammar rule of its
+    block's lines; `comment`: the one after it."""
 
     rule: str
     parts: list[Node | Block]
@@ -62,7 +61,7 @@ Item = Statement | Remark
 
 
 def must_open(part: Node | Block) -> bool:
-    """Whether a part of a statement cannot stand on one line with the rest."""
+    """Return whether a part of a statement cannot be on one line with the rest."""
     return part.forced if isinstance(part, Bracket) else isinstance(part, Block) and not part.one_line
 
 
@@ -75,7 +74,7 @@ def items(file: n.File) -> list[Item]:
 
 
 def _places(file: n.File) -> tuple[frozenset[int], frozenset[int]]:
-    """Where functions end whose arguments follow, and where a minus stands that has nothing on its left."""
+    """Return the ends of functions with following arguments, and the positions of minus signs with nothing on their left."""
     calls: set[int] = set()
     minus: set[int] = set()
     stack: list[Any] = [file.items]
@@ -95,7 +94,7 @@ def _places(file: n.File) -> tuple[frozenset[int], frozenset[int]]:
 
 
 def _called(part: object) -> n.Name | None:
-    """The name in a line that arguments in brackets may follow."""
+    """Return the name in a line after which arguments in brackets may follow."""
     if isinstance(part, n.Ask):
         return part.name if part.amount is None else None
     return part.event if isinstance(part, n.On) else part.name if isinstance(part, n.Behaviour) else None
@@ -111,7 +110,7 @@ class _Sorter:
     taken: int = field(default=0)  # how many comments have found their place
 
     def next_before(self, offset: int) -> n.Comment | None:
-        """The next comment, if it begins before an offset."""
+        """Return the next comment if it begins before an offset."""
         comments = self.scan.comments
         if self.taken < len(comments) and comments[self.taken].span.start < offset:
             self.taken += 1
@@ -122,7 +121,7 @@ class _Sorter:
         return self.scan.source.text.count("\n", start, end)
 
     def items(self, lines: Sequence[Line], rule: str, start: int, end: int) -> list[Item]:
-        """The statements and comments between two offsets."""
+        """Return the statements and comments between two offsets."""
         found: list[Item] = []
         last = start  # where the item before ends
         for line in lines:
@@ -136,7 +135,7 @@ class _Sorter:
         return bool(found) and self.line_ends(last, start) > 1
 
     def remarks(self, found: list[Item], last: int, end: int) -> int:
-        """Puts the comments up to `end` behind the last statement or on lines of their own; gives where the last of them ends."""
+        """Put the comments up to `end` after the last statement or on separate lines; return where the last of them ends."""
         while (comment := self.next_before(end)) is not None:
             text = comment.text.rstrip()
             before = found[-1] if found else None
@@ -178,7 +177,7 @@ class _Sorter:
         return Block(found, self.one_line(group, found, head), head)
 
     def one_line(self, group: Group, found: list[Item], head: str | None) -> bool:
-        """Whether no statement of a block begins a line, and nothing in it has to."""
+        """Return whether a block may be on one line: none of its statements begins a line, and nothing in it has to."""
         if not found and head is None:
             return True
         for item in found:

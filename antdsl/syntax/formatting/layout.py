@@ -1,4 +1,4 @@
-"""A text → the same program in the one layout: comments kept, and what was written is read again before anybody gets it."""
+"""Text → the same program in the one layout: comments are preserved, and the output is parsed again before it is returned."""
 
 from __future__ import annotations
 
@@ -16,13 +16,14 @@ from antdsl.syntax.parser import parse
 
 
 class NotTheSame(RuntimeError):
-    """The layout changed what a text means, or lost a comment. Nobody's text can cause it but by a bug here."""
+    """The layout changed the meaning of a text, or lost a comment. Only a bug in this package can cause it."""
 
 
 def format(source: Source) -> tuple[str | None, Report]:
-    """The text in the one layout, and what parsing had to say. None where the text has errors: what is not understood is not
-    moved about; and where it would grow beyond the limits of a text. Formatting what comes out gives the same text again.
-    Raises NotTheSame where the result would mean something else."""
+    """Return the text in the standard layout, and the report of parsing.
+
+    Returns None if the text has errors, because text that was not understood is not moved, or if it would exceed the limits of a
+    text. Formatting the result gives the same text again. Raises NotTheSame if the result would have another meaning."""
     file, report = parse(source)
     if not report.ok:
         return None, report
@@ -38,8 +39,8 @@ def format(source: Source) -> tuple[str | None, Report]:
 
 
 def too_long(source: Source, text: str, report: Report) -> bool:
-    """Complains where a text that could be read could not be read any more once it is laid out: lines that were broken come
-    together before a long help, and blanks take room."""
+    """Report a text that exceeds the limits only after layout. Broken lines are joined before a long help, and blanks need
+    space."""
     line = max(text.split("\n"), key=len).strip()
     if len(line) > limits.LINE_CHARACTERS:
         message = f"line that begins with `{line[:40]}` would have more than {limits.LINE_CHARACTERS} characters"
@@ -51,8 +52,8 @@ def too_long(source: Source, text: str, report: Report) -> bool:
 
 
 def difference(one: n.File, other: n.File) -> str | None:
-    """What differs between two files apart from where it stands, in a few words; None when they are the same program with the
-    same comments."""
+    """Return what differs between two files, except locations, in a few words; None if they are the same program with the same
+    comments."""
     ours, theirs = ([comment.text.rstrip() for comment in file.comments] for file in (one, other))
     if ours != theirs:
         return next((f"comment `{a}` became `{b}`" for a, b in zip(ours, theirs, strict=False) if a != b), "a comment was lost")
@@ -65,7 +66,8 @@ def difference(one: n.File, other: n.File) -> str | None:
 
 
 def parts(node: Any) -> Iterator[str]:
-    """A tree as a flat row of words: each node's kind, and what its leaves say. Places and comments are left out."""
+    """Yield a tree as a flat list of words: each node's kind, and the content of its leaves. Locations and comments are left
+    out."""
     stack = [node]
     while stack:
         part = stack.pop()

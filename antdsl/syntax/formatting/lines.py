@@ -1,5 +1,5 @@
-"""The items of a text → its lines. A line that is too long is broken inside its brackets; a block stays on one line where its
-author put it there and it fits."""
+"""The items of a text → its lines. A line that is too long is broken inside its brackets. A block stays on one line if its author
+wrote it so and it fits."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ def text_of_items(items: Sequence[Item]) -> str:
 
 
 def _block(items: Sequence[Item], indent: int) -> list[str]:
-    """The lines of the items of a block, set in by so many blanks."""
+    """Return the lines of the items of a block, indented by `indent` blanks."""
     rows = [_row(item, indent) for item in items]
     return aligned(rows, indent)
 
@@ -69,14 +69,14 @@ def _statement(parts: Sequence[Part], indent: int) -> list[str]:
 
 
 def _piece(parts: Sequence[Part], start: int, end: int) -> str:
-    """What stands on one line between two open blocks, with the brace before and, if one follows, after it."""
+    """Return the line between two open blocks, with the brace before and, if one follows, after it."""
     text = _flat(parts[start + 1 : end])
     return ("}" if start >= 0 else "") + text + (" {" if end < len(parts) and isinstance(parts[end], Block) else "")
 
 
 def _sequence(parts: Sequence[Part], indent: int, column: int, suffix: int = 0) -> list[str]:
-    """Parts one after the other from a column on; each bracket is broken that does not fit together with what follows up to the
-    next bracket. `suffix` characters follow the last part."""
+    """Lay out successive parts from a column on. A bracket is broken if it does not fit together with what follows up to the next
+    bracket. `suffix` characters follow the last part."""
     lines = [""]
     for k, part in enumerate(parts):
         if isinstance(part, Bracket) and (part.forced or column + _reach(parts, k, suffix) > WIDTH):
@@ -92,7 +92,7 @@ def _sequence(parts: Sequence[Part], indent: int, column: int, suffix: int = 0) 
 
 
 def _reach(parts: Sequence[Part], start: int, suffix: int) -> int:
-    """How many characters must fit on the line if a bracket is not broken. A help at the end may be as long as it likes."""
+    """Return how many characters must fit on the line if a bracket is not broken. A help at the end may have any length."""
     count = len(_flat([parts[start]]))
     for part in parts[start + 1 :]:
         if isinstance(part, Bracket):
@@ -103,7 +103,7 @@ def _reach(parts: Sequence[Part], start: int, suffix: int) -> int:
 
 
 def _bracket(bracket: Bracket, indent: int) -> list[str]:
-    """A bracket with each slot on lines of its own."""
+    """Return a bracket with each slot on separate lines."""
     if not bracket.slots and not bracket.tail:
         return [bracket.flat]
     lines = [bracket.open.flat]
@@ -115,7 +115,7 @@ def _bracket(bracket: Bracket, indent: int) -> list[str]:
 
 
 def _slot(slot: Slot, indent: int, deeper: int) -> list[str]:
-    """The lines of a slot; its operands but the first are set in `deeper`."""
+    """Return the lines of a slot; its operands after the first are indented by `deeper`."""
     lines = [" " * indent + comment.text.rstrip() for comment in slot.lead]
     parts = slot.operands or operands(slot)
     flat = slot.flat

@@ -1,4 +1,4 @@
-"""Lines that go on with the one above outside of brackets: `when meal`, and below it `and near -> approach`. They are told, and
+"""Lines that continue the one above outside brackets: `when meal`, and below it `and near -> approach`. They are reported, and
 read as one."""
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from antdsl.source import Span
 from antdsl.syntax.scan import Scan, Token
 from antdsl.syntax.words import LINE_WORDS
 
-# Nothing that stands by itself begins with these. A line of a behaviour or of `layers` may begin with `-` or `(`.
+# No separate line begins with these. A line of a behaviour or of `layers` may begin with `-` or `(`.
 _SIGNS = ("+", "*", "/", "^", "<", ">", "<=", ">=", "==", "!=", ",", ".")
 _GOES_ON = frozenset(
     ("and", "or", "then", "else", "held", "take", "is", "in", "over", "relax", "strongest", "except", "->", "..", *_SIGNS)
@@ -21,7 +21,7 @@ _LINE_WORDS = frozenset(word for words in LINE_WORDS.values() for word in words)
 
 
 def joined(scan: Scan) -> list[Token]:
-    """The tokens of a text with the ends of lines left out that are none, after a complaint about each statement that goes on."""
+    """Return the tokens of a text without line ends inside a continued statement, and report each such statement."""
     tokens, open, indent = list(scan.tokens), 0, 0
     joints: list[int] = []  # ends of lines of one statement, each followed by what belongs to it
     left_out: set[int] = set()
@@ -49,7 +49,7 @@ def _text(scan: Scan, token: Token) -> str:
 
 
 def _goes_on(scan: Scan, tokens: list[Token], index: int, indent: int) -> bool:
-    """Whether the line behind a line end belongs to the one before it, which is set in by `indent`."""
+    """Return whether the line after a line end belongs to the line before it, which is indented by `indent`."""
     if index + 1 >= len(tokens) or index == 0 or scan.source.text[tokens[index].start] != "\n":
         return False
     before, following = tokens[index - 1], tokens[index + 1]

@@ -1,4 +1,4 @@
-"""What is told about numbers and units that are not written as the language has them: commas, needless signs, slips of units."""
+"""Messages about numbers and units that are not in the language's notation: commas, needless signs, wrong units."""
 
 from __future__ import annotations
 
@@ -21,14 +21,15 @@ _LONGEST = 60  # characters of a number that are shown
 
 
 def number_with_comma(source: Source, comma: int) -> Span | None:
-    """The place of the number that a comma stands in, with no blank on either side; None where it can only part two things."""
+    """Return the span of the number around a comma without blanks on either side; None if the comma can only separate two
+    things."""
     left = _LEFT.search(source.text, max(0, comma - _LONGEST), comma)
     right = _RIGHT.match(source.text, comma + 1)
     return Span(source, left.start(), right.end()) if left and right and source.text[comma : comma + 1] == "," else None
 
 
 def comma_in_number(span: Span, *, only: bool = True) -> Diagnostic:
-    """The complaint about a number with commas. `only`: it cannot be two numbers with a comma between them."""
+    """Return the error about a number with commas. `only`: it cannot be two numbers separated by a comma."""
     text = span.text
     whole, dotted = text.replace(",", ""), text.replace(",", ".")
     thousands, once = _THOUSANDS.fullmatch(text), text.count(",") == 1 and "." not in text
@@ -48,7 +49,7 @@ def comma_in_number(span: Span, *, only: bool = True) -> Diagnostic:
 
 
 def number_problem(piece: str, characters: str, end: int) -> tuple[str, int, str] | None:
-    """What is wrong with a number that ends at an offset of a text, where it really ends, and what to write."""
+    """Return what is wrong with a number that ends at an offset of a text, where it really ends, and what to write."""
     glued = _GLUED.match(characters, end)
     rest = glued.group() if glued else ""
     whole = f"{piece}{rest}"[:80]
@@ -70,7 +71,7 @@ def number_problem(piece: str, characters: str, end: int) -> tuple[str, int, str
 
 
 def unit_help(word: str) -> str:
-    """What to write in place of a word that is not a unit."""
+    """Return what to write instead of a word that is not a unit."""
     near = UNIT_SLIPS.get(word.lower())
     if near is None and (name := nearest_name(word, UNIT_NAMES)) is not None:
         near = f"did you mean `{name}`?"

@@ -64,7 +64,7 @@ _FENCE = re.compile(r"^[ \t]*(```|~~~).*$", re.MULTILINE)
 
 
 def look_over(found: Scan) -> None:
-    """Complain about what no text may hold, wherever it stands."""
+    """Report what no text may contain, anywhere."""
     _forbidden(found)
     _unseen(found)
     _markers(found)
@@ -84,8 +84,8 @@ def _forbidden(found: Scan) -> None:
 
 
 def _unseen(found: Scan) -> None:
-    """Complain about characters of comments and texts that do not show. Those that join letters or keep them apart belong to the
-    spelling of some languages."""
+    """Report invisible characters in comments and texts. Those that join or separate letters belong to the spelling of some
+    languages."""
     text = found.source.text
     for said in _SAID.finditer(text) if not text.isascii() else ():
         for match in _UNSEEN.finditer(text, said.start(), said.end()):
@@ -95,7 +95,7 @@ def _unseen(found: Scan) -> None:
 
 
 def _markers(found: Scan) -> None:
-    """Of a merge conflict the first side is kept, so that the rest of the file can be checked."""
+    """Keep the first side of a merge conflict, so that the rest of the file can be checked."""
     if "<<<<<<<" in found.source.text or ">>>>>>>" in found.source.text:
         drop_from = -1
         for match in _CONFLICT.finditer(found.source.text):
@@ -116,7 +116,7 @@ def _markers(found: Scan) -> None:
 
 
 def blank_lines(found: Scan, start: int, end: int) -> None:
-    """Blanks, with the line ends left where they are."""
+    """Replace text by blanks, but keep the line ends."""
     for offset in range(start, end):
         if found.clean[offset] != "\n":
             found.clean[offset] = " "
@@ -136,7 +136,8 @@ def _long_lines(found: Scan) -> None:
 
 
 def ascii_for(character: str) -> str | None:
-    """The ASCII letter, digit or `_` that a character looks like, or None. Accents are not look-alikes: they are meant."""
+    """Return the ASCII letter, digit or `_` that a character looks like, or None. Accented letters are not look-alikes: they are
+    intended."""
     if character < "\x80":
         return character
     digit = unicodedata.decimal(character, None)
@@ -153,8 +154,7 @@ _WORD = re.compile("write `([a-z]+)`")
 
 
 def word_instead(help: str, before: str, after: str) -> str | None:
-    """For a sign in place of which a word is to be written: the word, with a blank where the character beside it is part of a
-    word."""
+    """Return the word to write instead of a sign, with a blank where the adjacent character is part of a word."""
     found = _WORD.fullmatch(help)
     if found is None:
         return None

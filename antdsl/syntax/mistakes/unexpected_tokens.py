@@ -1,4 +1,4 @@
-"""What the parser found and what it could have taken → one complaint in an artist's words."""
+"""What the parser found and what it expected → one message in an artist's words."""
 
 from __future__ import annotations
 
@@ -25,8 +25,8 @@ from antdsl.syntax.words import (
 
 @dataclass(frozen=True, slots=True)
 class UnexpectedToken:
-    """Where a line could not be read on. `before` and `found` are the texts on both sides (`found` empty at the line's end),
-    `wanted` the names of the terminals that could have stood there, `rule` the rule of the grammar that reads the line."""
+    """A position where a line could not be read further. `before` and `found`: the texts on both sides (`found` is empty at the
+    line's end). `wanted`: the names of the terminals that were possible there. `rule`: the grammar rule that reads the line."""
 
     rule: str
     first: str
@@ -84,7 +84,7 @@ _COMPARISONS = {"==", "!=", "<", ">", "<=", ">=", "is"}
 
 
 def complain(unexpected: UnexpectedToken) -> Diagnostic:
-    """The complaint about a line that cannot be read; the first kind of mistake that fits."""
+    """Return the error about a line that cannot be read: the first kind of mistake that matches."""
     for kind in (
         _quoted_library, _after_inside, _misspelt, _misplaced, _comma, _no_line, _label, _unit, _equals, _compared_twice,
         _second_line, _unfinished,
@@ -138,7 +138,7 @@ def _quoted_library(unexpected: UnexpectedToken) -> Diagnostic | None:
 
 
 def _slip(unexpected: UnexpectedToken) -> str | None:
-    """The word of the language that can stand here and that what was found is a slip of."""
+    """Return the word of the language that is allowed here and of which the found word is a misspelling."""
     if unexpected.found_kind != "word" or len(unexpected.found) < 3 or "NAME" in unexpected.wanted:
         return None
     words = [terminal.lstrip("_").lower() for terminal in unexpected.wanted if terminal.lstrip("_").lower() in _JOINING]
@@ -150,7 +150,8 @@ def _forgets_arrow(unexpected: UnexpectedToken) -> bool:
 
 
 def forgets_brackets(unexpected: UnexpectedToken) -> bool:
-    """`touching nest`: a name behind one that begins a value, and so could be called with it."""
+    """Return whether brackets are missing, as in `touching nest`: a name after one that begins a value and could be called with
+    it."""
     names = unexpected.before_kind == unexpected.found_kind == "word" and unexpected.next not in ("(", ".", "[", ":")
     return (
         names and unexpected.earlier in _BEGINS_VALUE and {unexpected.before, unexpected.found}.isdisjoint(_keywords() | _JOINING)
@@ -168,14 +169,14 @@ def _forgets_colon(unexpected: UnexpectedToken) -> bool:
 
 
 def plain_complaint(unexpected: UnexpectedToken) -> Diagnostic:
-    """The same without a thought about what was meant: for a file with a great many mistakes."""
+    """Return the same error without a guess at the intended text: for a file with a great many mistakes."""
     if not unexpected.found:
         return Diagnostic("unfinished-line", f"line ends after {_shown(unexpected.before)}", unexpected.span)
     return Diagnostic("unexpected-text", f"found {_shown(unexpected.found)} where the line cannot go on with it", unexpected.span)
 
 
 def better_first_word(unexpected: UnexpectedToken) -> str | None:
-    """The word that the first word of a line is a slip of, when the line fits no other reading."""
+    """Return the word of which a line's first word is a misspelling, if the line fits no other reading."""
     words = LINE_WORDS[unexpected.rule]
     other = OTHER_WORDS.get(unexpected.first)
     if other in words and unexpected.found not in _WRITING:
@@ -207,7 +208,7 @@ def _misplaced(unexpected: UnexpectedToken) -> Diagnostic | None:
 
 
 def misplaced(word: str, span: Span) -> Diagnostic:
-    """A line that begins with a word which belongs elsewhere."""
+    """Return the error about a line that begins with a word which belongs elsewhere."""
     return Diagnostic("misplaced-line", f"`{word}` does not stand here", span, help=f"it belongs {BELONGS[word]}")
 
 
@@ -221,7 +222,7 @@ def _no_line(unexpected: UnexpectedToken) -> Diagnostic | None:
 
 
 def _label(unexpected: UnexpectedToken) -> Diagnostic | None:
-    """`f(a b: 1)`, where the word before the colon was taken for something else."""
+    """Handle `f(a b: 1)`, where the word before the colon was parsed as something else."""
     names = (
         unexpected.before_kind == "word"
         and unexpected.found == ":"
@@ -237,7 +238,7 @@ def _label(unexpected: UnexpectedToken) -> Diagnostic | None:
 
 
 def _comma(unexpected: UnexpectedToken) -> Diagnostic | None:
-    """`(0,15)`, as numbers are written in many countries, where it cannot be two arguments."""
+    """Handle `(0,15)`, a decimal comma as in many countries, where it cannot be two arguments."""
     found, source = unexpected.span, unexpected.span.source
     comma = found.start if unexpected.found == "," else found.start - 1 if unexpected.before == "," else -1
     span = number_with_comma(source, comma) if comma > 0 else None
@@ -280,7 +281,7 @@ def _equals(unexpected: UnexpectedToken) -> Diagnostic | None:
 
 
 def gives_with_two(unexpected: UnexpectedToken) -> bool:
-    """`let x == 1`: the first sign was taken for the one that is meant."""
+    """Return whether `==` stands for `=`, as in `let x == 1`."""
     names = unexpected.before_kind == "word" and unexpected.earlier in ("let", "param", "latch", "keep")
     return unexpected.found == "==" and (names or unexpected.before == unexpected.first)
 
@@ -309,19 +310,19 @@ def _line_end(unexpected: UnexpectedToken) -> Diagnostic:
 
 
 def _before(unexpected: UnexpectedToken, text: str) -> Fix:
-    """Text put in between what was read and the unexpected token."""
+    """Return a fix that inserts text between what was read and the unexpected token."""
     return Fix(Span(unexpected.span.source, unexpected.span.start, unexpected.span.start), text)
 
 
 def _behind(unexpected: UnexpectedToken, text: str) -> Fix:
-    """Text put right behind what was read, before the blanks."""
+    """Return a fix that inserts text directly after what was read, before the blanks."""
     source, start = unexpected.span.source, unexpected.span.start
     end = len(source.text[:start].rstrip())
     return Fix(Span(source, end, end), text)
 
 
 def begins_line(unexpected: UnexpectedToken) -> bool:
-    """Whether the unexpected token is a word that begins a line, after something that could have been the end of one."""
+    """Return whether the unexpected token is a word that begins a line, after something that could end one."""
     words = LINE_WORDS[unexpected.rule]
     assigns = bool(words) and unexpected.found_kind == "word" and unexpected.next in _ASSIGNING
     return (unexpected.found in words or assigns) and "$END" in unexpected.wanted

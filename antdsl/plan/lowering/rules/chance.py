@@ -1,4 +1,4 @@
-"""Rules for draws. Each has a site: with the seed, the frame and the agent's id it says which number comes (decision 22)."""
+"""Rules for random draws. The site of a draw, the seed, the frame and the agent's id determine its number (decision 22)."""
 
 from __future__ import annotations
 
@@ -51,7 +51,8 @@ def _random_agent(w: Writer, e: model.Op) -> Value:
 
 
 def _chance(w: Writer, e: model.Op) -> Value:
-    """A rate per time holds within a step with 1 - exp(-rate dt), whatever the step's length; a share holds as it is."""
+    """Lower `chance`: a rate per time becomes the probability 1 - exp(-rate dt) per step, for any step length; a share is used
+    directly."""
     argument = e.args[0]
     assert argument is not None
     share = scalar(w, argument)

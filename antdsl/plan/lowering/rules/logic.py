@@ -1,4 +1,4 @@
-"""Rules for truths, shades of truth, choices and what may be none."""
+"""Rules for bools, degrees of truth, choices and values that may be none."""
 
 from __future__ import annotations
 
@@ -14,7 +14,8 @@ Rule = Callable[[Writer, model.Op], Value]
 
 
 def _joined(sharp: str, shaded: str) -> Rule:
-    """`and`, `or`: of truths, or of shades from 0 to 1 as their least or greatest (Zadeh 1965, section 2)."""
+    """Return the rule of `and` or `or`: for bools, or for degrees from 0 to 1 as their minimum or maximum (Zadeh 1965, section
+    2)."""
 
     def rule(w: Writer, e: model.Op) -> Value:
         if e.type.kind is model.Kind.NUMBER:
@@ -33,7 +34,8 @@ def _shade(w: Writer, e: model.Expr) -> Node:
 
 
 def _fuzzy(w: Writer, e: model.Op) -> Value:
-    """What the rules say, weighted by how true each is; 0 when none is. A degree counts from 0 to 1; one that is NaN as 0."""
+    """Return the mean of the rules' outputs, weighted by how true each rule is; 0 if none is. Degrees are clamped to 0 to 1; NaN
+    counts as 0."""
     b = w.b
     above = below = b.number(0)
     for degree, said in zip(e.args[::2], e.args[1::2], strict=True):

@@ -22,7 +22,8 @@ def args(w: Writer, e: model.Op) -> list[Node]:
 
 
 def _two(w: Writer, e: model.Op) -> tuple[Value, Value, Callable[[], list[Node]]]:
-    """Both operands, and what gives them as scalars. Each is lowered once: twice, a sum would take twice as long by each term."""
+    """Return both operands, and a function that gives them as scalars. Each is lowered once; otherwise nested sums would double
+    the work with each term."""
     first, second = (a for a in e.args if a is not None)
     left, right = lower(w, first), lower(w, second)
     return left, right, lambda: [single(w, first, left), single(w, second, right)]
@@ -88,7 +89,7 @@ def _clamp(w: Writer, e: model.Op) -> Value:
 
 
 def share(w: Writer, x: Node, low: Node, high: Node) -> Node:
-    """Where x lies between low and high, from 0 to 1; a range of no length is a step at its place."""
+    """Return the position of x between low and high, from 0 to 1. If low equals high, it is a step there."""
     b = w.b
     wide = b("sub", high, low)
     between = b("min", b("max", b("div", b("sub", x, low), wide), b.number(0)), b.number(1))

@@ -174,7 +174,7 @@ def _touching(w: Writer, e: model.Op) -> Value:
 
 
 def _falloff(w: Writer, e: model.Op) -> Value:
-    """floor / max(distance, floor) (decision 19): 1 up close, 0 to none."""
+    """Return floor / max(distance, floor) (decision 19): 1 near the place, 0 if there is none."""
     distance = far(w, *_place(w, e))
     assert e.args[1] is not None
     floor = scalar(w, e.args[1])

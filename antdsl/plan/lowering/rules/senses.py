@@ -27,7 +27,7 @@ def _name(w: Writer, e: model.Op, index: int = 0) -> str:
 
 
 def _plain(sense: Sense, word: Builtin) -> Callable[[Writer, model.Op], Value]:
-    """The rule of a word whose arguments are what the sense takes: the thing that it names, then its operands."""
+    """Return the rule of a word with the arguments of its sense: the thing that it names, then its operands."""
     first, size = sense.place(word.part)
 
     def rule(w: Writer, e: model.Op) -> Value:
@@ -80,7 +80,7 @@ def _slope(w: Writer, e: model.Op) -> Value:
 
 
 def _uphill(w: Writer, e: model.Op) -> Value:
-    """The world's up less its part along the animal's own: as long as the sine of the slope."""
+    """Return the world's up minus its component along the agent's up. Its length is the sine of the slope."""
     up, sky = w.read_vector("up"), _world_up(w)
     return values.sub(w.b, sky, values.scale(w.b, up, values.dot(w.b, up, sky)))
 
@@ -99,7 +99,8 @@ def _event(w: Writer, e: model.Op) -> Value:
 
 
 def _match(w: Writer, e: model.Op) -> Value:
-    """The push that reaches a velocity within this step, (wanted - own) mass / (max_force dt), at most 1 (Reynolds 1999, 6)."""
+    """Return the push that reaches a velocity within this step, (requested - own) mass / (max_force dt), at most 1 (Reynolds
+    1999, 6)."""
     assert e.args[0] is not None
     b = w.b
     change = values.sub(b, vector(w, e.args[0]), w.read_vector("velocity"))

@@ -1,4 +1,4 @@
-"""What several checks find out about a program before they complain.
+"""Analyses that several checks share.
 
-`checked` is what a check is given. `ranges` bounds values, `conditions` holds conditions against each other, and `short_steps`
-finds what a value comes to as steps get shorter. None of them complains."""
+`checked` is the input of a check. `ranges` bounds values, `conditions` compares conditions, and `short_steps` finds the limit of
+a value as steps get shorter. None of them reports findings."""

@@ -1,4 +1,4 @@
-"""What a check looks at: the program, and what its names turned out to be used for."""
+"""The input of a check: the program, and the uses of its names."""
 
 from __future__ import annotations
 

@@ -18,7 +18,8 @@ _OPPOSITE = {"lt": "ge", "le": "gt", "gt": "le", "ge": "lt", "eq": "ne", "ne": "
 
 @dataclass(slots=True)
 class Case:
-    """All of this holds: each number (by the key of what it is) lies in its interval, each other test is true or false."""
+    """One case, in which all of this holds: each number (by the key of its expression) lies in its interval, and each other test
+    is true or false."""
 
     numbers: dict[str, Interval] = field(default_factory=dict)
     tests: dict[str, bool] = field(default_factory=dict)
@@ -40,7 +41,7 @@ Cases = list[Case]
 
 
 class TooMany(Exception):
-    """A condition has more cases than are looked at."""
+    """A condition has more cases than the analysis allows."""
 
 
 # Such a condition is left alone; so is one that goes through more lets, each in the other, than can be followed.
@@ -60,7 +61,7 @@ class Reader:
     behind: dict[tuple[int, bool], Cases] = field(default_factory=dict)
 
     def cases(self, test: Expr | None, holds: bool = True) -> Cases:
-        """When a condition is true, or when it is not. Raises TooMany."""
+        """Return the cases in which a condition is true, or false if not `holds`. Raises TooMany."""
         if test is None:
             return [Case()] if holds else []
         if isinstance(test, Local) and test.binding.role in ("let", "argument") and test.binding.value is not None:
@@ -112,8 +113,8 @@ class Reader:
         return [Case(numbers={key: interval}) for interval in found if not interval.empty]
 
     def key(self, part: object) -> str:
-        """The same for expressions that mean the same; two draws never do, nor two memories. Long ones are hashed: lets that
-        are made of each other twice would double it with each."""
+        """Return a key that is equal for expressions of equal meaning; two draws or two memories never are. Long keys are hashed:
+        otherwise nested lets that use each other twice would double the key at each level."""
         if isinstance(part, Local) and part.binding.role in ("let", "argument") and part.binding.value is not None:
             return self.key(part.binding.value)
         known = self.keys.get(id(part))
@@ -137,7 +138,7 @@ class Reader:
 
 
 def _plain(expr: Expr) -> float | None:
-    """The number that an expression is, also behind a name."""
+    """Return the constant number of an expression, also behind a name; else None."""
     while isinstance(expr, Local) and expr.binding.role in ("let", "argument") and expr.binding.value is not None:
         expr = expr.binding.value
     return expr.number if isinstance(expr, Const) and not (expr.u or expr.step) else None
@@ -187,7 +188,7 @@ def never(reader: Reader, test: Expr | None) -> bool:
 
 
 def always(reader: Reader, test: Expr | None) -> bool:
-    """Whether a condition cannot but hold. Beside numbers that are none, for which no comparison holds."""
+    """Return whether a condition always holds. NaN is ignored, for which no comparison holds."""
     try:
         return not reader.cases(test, False)
     except NOT_FOLLOWED:

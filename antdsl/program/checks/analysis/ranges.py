@@ -1,4 +1,4 @@
-"""Between which numbers a value can lie, as far as constants, ranges of params and the meaning of words show."""
+"""The range of a value, as far as constants, ranges of params and the vocabulary determine it."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from antdsl.program.tables.vocabulary import INTERVALS
 
 
 class Interval(NamedTuple):
-    """Numbers from `low` to `high`; an end that is open does not belong to them."""
+    """Numbers from `low` to `high`; an open end is not included."""
 
     low: float = -math.inf
     high: float = math.inf
@@ -39,8 +39,8 @@ _WORDS: dict[str, Interval] = {op: Interval(*ends) for op, ends in INTERVALS.ite
 
 
 def range_of(expr: Expr | None, params: Mapping[str, Param], known: dict[int, Interval]) -> Interval:
-    """The range of a number in base units. A param counts with its range, for a scene may set any value in it. `known` keeps
-    those of bindings by their ids, for the next call: a let may stand in many places."""
+    """Return the range of a number in base units. A param has its declared range, because a scene may set any value in it.
+    `known` caches the ranges of bindings by id, because a let may be used in many places."""
     if expr is None or expr.type.kind is not Kind.NUMBER:
         return ANY
     if isinstance(expr, Const):
@@ -89,7 +89,7 @@ def _of_op(op: Op, params: Mapping[str, Param], known: dict[int, Interval]) -> I
 
 
 def _products(a: Interval, b: Interval) -> Interval:
-    """An endless end times nothing is nothing: no value is endless itself."""
+    """Return the product of two interval ends; infinity times 0 is 0, because values themselves are finite."""
     ends = [0.0 if 0 in (x, y) else x * y for x in (a.low, a.high) for y in (b.low, b.high)]
     return Interval(min(ends), max(ends))
 

@@ -1,8 +1,10 @@
-"""What a value comes to as steps get shorter: whether it is still what it is made of, and what changes it however short they are.
+"""The limit of a value as steps get shorter: whether it depends on its previous value in the same way, and what changes it even
+in very short steps.
 
-A value that is made of the one before goes on alike at any frame rate if in a step of no length it stays as it is, and what it
-is off by in a short one goes like `dt`: twice the steps of half the length are then as much. So each part of an expression is
-looked at as `dt` goes to 0: whether it vanishes and how fast, which number it nears, and whether what is read gets through."""
+An update of a value is independent of the frame rate under two conditions. In a step of length 0 the value does not change, and
+its change in a short step is proportional to `dt`. Two steps of half the length then change it equally. So each part of an
+expression is analysed as `dt` goes to 0: whether it vanishes and how fast, its limit, and whether the previous value passes
+through."""
 
 from __future__ import annotations
 
@@ -15,12 +17,12 @@ from antdsl.program.model import Attribute, Binding, Const, Expr, Inline, Local,
 from antdsl.program.tables.vocabulary import DRAWS
 from antdsl.program.traverse import parts
 
-Own = str | Binding  # the attribute that is set, or the memory that is kept
+Own = str | Binding  # the attribute that is set, or the stored memory
 
 
 class Way(IntEnum):
-    """How a value that is read gets into another: not at all, less and less in shorter steps, as it is, in ways that are not
-    told here, changed. As it is means that doing it twice in a row is the same as once, so that it does not matter how often."""
+    """How a value that is read gets into another: not at all, less and less in shorter steps, unchanged, in ways unknown here,
+    changed. Unchanged means that doing it twice in a row is the same as once, so the frequency does not matter."""
 
     NONE = 0
     GONE = 1
@@ -31,9 +33,10 @@ class Way(IntEnum):
 
 @dataclass(frozen=True, slots=True)
 class Short:
-    """A value in short steps. It goes like `dt ** power`: one above 0 vanishes. `to` is the number that it nears, where that is
-    known; from it, or from what is read, it is off by something that goes like `dt ** off`: endless for what `dt` is not in.
-    `makers`: the first two operations that change what is read; `by`: the one that it is off by, or in which it vanishes."""
+    """The behaviour of a value for small `dt`. It is proportional to `dt ** power`; with `power` above 0 it vanishes. `to` is its
+    limit, if known. Its deviation from the limit, or from the value read, is proportional to `dt ** off`; infinite if `dt` has no
+    influence. `makers`: the first two operations that change the value read. `by`: the operation that causes the deviation, or in
+    which the value vanishes."""
 
     way: Way = Way.NONE
     power: float = 0.0
@@ -58,9 +61,9 @@ _NOW_AND_THEN = frozenset(("chance", "event"))  # they come as often at any fram
 
 
 def changers(value: Expr, own: Own, driven: bool = False) -> tuple[Expr, ...]:
-    """The operations, at most two, that make a value another one however short a step is, or not in proportion to it; none where
-    it goes on alike at any frame rate, and where it is said by the unit `step`, of which `--strict` tells. `driven`: something
-    else drives it on."""
+    """Return the operations, at most two, that change a value however short a step is, or not in proportion to it. Empty if the
+    update is independent of the frame rate, or uses the unit `step`, which `--strict` reports. `driven`: something else also
+    changes the value."""
     short = _short(value, own, driven)
     if short.way is Way.CHANGED:
         found = short.makers
@@ -77,7 +80,7 @@ def is_rate(value: Expr, own: Own) -> bool:
 
 
 def timed(value: Expr) -> bool:
-    """Whether an expression minds how long a step lasts."""
+    """Return whether an expression depends on the length of a step."""
     return any(_is_dt(part) or (isinstance(part, Const) and bool(part.step)) for part in parts(value))
 
 
@@ -92,7 +95,7 @@ def reads(expr: Expr, own: Own) -> bool:
 
 
 def _like_time(power: float, value: Expr) -> bool:
-    """Whether something grows with time. What is drawn anew in each step does so by its square, and goes like the root."""
+    """Return whether something grows with time. A new draw in each step does so by its square, and grows like the root."""
     if power == math.inf or math.isclose(power, 1):
         return True
     return math.isclose(power, 0.5) and any(isinstance(part, Op) and part.name in DRAWS for part in parts(value))
@@ -129,7 +132,7 @@ def _short(value: Expr, own: Own, driven: bool) -> Short:
 
 
 def _upward(value: Expr, own: Own) -> Iterator[Expr]:
-    """The parts of an expression as far as values come from them, each once, those that others are made of first."""
+    """Yield the parts of an expression that contribute to its value, each once, operands first."""
     stack: list[tuple[Expr, bool]] = [(value, False)]
     seen: set[int] = set()
     while stack:
@@ -178,7 +181,7 @@ def _changed(op: Expr, below: Below) -> Short:
 
 
 def _kept(own: Short, off: float, by: Expr | None) -> Short:
-    """What is read with something beside it that goes like `dt ** off`."""
+    """Return the value read, with an added deviation proportional to `dt ** off`."""
     return replace(own, off=off, by=by) if own.way is Way.SAME and off < own.off else own
 
 
@@ -318,7 +321,7 @@ def _together(op: Expr, below: Below) -> Short:
 
 
 def _of_the_first(op: Op, below: Below) -> Short:
-    """A length, or a part of a vector: nothing of nothing."""
+    """Analyse a length or a component of a vector: it vanishes if the vector does."""
     a = below[0]
     return a if a.way <= Way.GONE else _as_it_is(op, below) if op.name != "length" else _together(op, below[:1])
 
@@ -333,7 +336,7 @@ def _as_it_is(op: Op, below: Below) -> Short:
 
 
 def _bounded(op: Op, below: Below) -> Short:
-    """`min`, `max` and `clamp`: of numbers that are known, the one that is left."""
+    """Analyse `min`, `max` and `clamp`: for known numbers, the result is known."""
     tos = [each.to for each in below if each.to is not None]
     if _way(below) > Way.GONE or len(tos) < len(below):
         return _as_it_is(op, below)
@@ -345,8 +348,8 @@ def _bounded(op: Op, below: Below) -> Short:
 
 
 def _chosen(op: Op, below: Below, own: Own, driven: bool) -> Short:
-    """Of `if`. What happens by chance or by an event happens as often at any rate. What another line drives out of its range
-    is only put back: `if turn > 1 then turn - 1 else turn`."""
+    """Analyse `if`. Changes by chance or by an event happen equally often at any rate. A value that another line drives out of
+    its range is only moved back: `if turn > 1 then turn - 1 else turn`."""
     test, *ends = op.args
     assert test is not None
     branches = below[1:]

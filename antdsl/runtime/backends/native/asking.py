@@ -1,5 +1,5 @@
-"""What agents ask of the world, as machine code: scent that is laid goes straight into its cells, all else is written down in
-lists, one for each statement, with those who ask in the order of their rows."""
+"""Requests of agents to the world, as machine code. Deposits go straight into their cells. All others are written to lists, one
+per statement, in the order of the agents' rows."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def _deposit(b: BlockWriter, each: Instruction, what: ir.Request) -> None:
 
 
 def _write_down(b: BlockWriter, each: Instruction, mask: Lanes, values: list[Lanes]) -> None:
-    """Append the rows of those of eight agents for whom a condition holds to a statement's list, and a value of each beside."""
+    """Append the rows of those of eight agents with a true condition to a statement's list, and a value of each beside."""
     e, number = b.e, len(b.code.lists)
     b.code.lists.append(each)
     with e.inside(e.some(mask)):
@@ -77,7 +77,7 @@ def _write_down(b: BlockWriter, each: Instruction, mask: Lanes, values: list[Lan
 
 
 def _sound(b: BlockWriter, mask: Lanes, amount: Lanes, what: str, span: Any) -> Lanes:
-    """Those of some agents whose amount is a finite number; the others are at fault."""
+    """Return the mask of agents with a finite amount; the others are at fault."""
     good: Lanes = np.isfinite(amount)
     b.refuse(mask & ~good, what, span)
     return mask & good
@@ -141,7 +141,7 @@ def ask(b: BlockWriter, each: Instruction) -> None:
 
 
 def asked(each: Instruction, columns: Sequence[NDArray[Any]], effects: Effects) -> None:
-    """Put what a statement's list holds to the effects of a step: rows, then what was written down beside them."""
+    """Add the contents of a statement's list to the effects of a step: rows, then the values stored with them."""
     what = each.what
     match what:
         case ir.Claim():

@@ -1,4 +1,5 @@
-"""Runs a plan's blocks as machine code. Until that is made, and where it cannot be, NumPy runs them: the bits are the same."""
+"""Runs a plan's blocks as machine code. NumPy runs them until the code is ready, or if it cannot be made; the bits are the
+same."""
 
 from __future__ import annotations
 
@@ -25,7 +26,7 @@ from antdsl.runtime.world import AXES, Population, World
 
 _MANY = 2_000  # agents; a few steps of so many make up for loading a program's code
 _LOADING = 0.2  # s of processor time of the steps before it
-_SAMPLED = 8  # agents whose radius is worked out before the first search, to choose cells by
+_SAMPLED = 8  # agents with radii computed before the first search, to choose cells by
 _CELL = 8  # agents in a cell, where no radius is known
 
 
@@ -42,7 +43,7 @@ class NativeBackend(NumpyBackend):
         self._begun = False
         self.ready: Ready | None = None
         self._running: dict[tuple[str, str], Block] = {}
-        self._timed = False  # what is run or wanted is code that is timed by line
+        self._timed = False  # the code to run or to load is timed by line
         self._aside: tuple[Ready | None, Future[Ready] | None, dict[tuple[str, str], Block]] = (None, None, {})  # the other code
         self._rooms = Rooms()
         self._versions: list[int] = []
@@ -54,7 +55,7 @@ class NativeBackend(NumpyBackend):
         return super().by if self.ready is None else "machine code"
 
     def measure(self, on: bool) -> None:
-        """Time lines from the next step on, or no longer: in code that is made for it. Until that has come NumPy runs."""
+        """Time lines from the next step on, or stop timing. Timing needs separate code; NumPy runs until it is ready."""
         if on != self._timed:
             self._timed = on
             here = (self.ready, self._coming, self._running)
@@ -62,7 +63,7 @@ class NativeBackend(NumpyBackend):
         super().measure(on)
 
     def begin(self, world: World) -> None:
-        """Values of the step, and nothing sensed yet. Takes machine code in use that has become ready."""
+        """Set the values of the step and clear sensed values. Switches to machine code that has become ready."""
         self._look_for_code(world, world.options.wait_for_code)
         self._begun = True
         versions = [population.version for population in world.populations.values()]
@@ -74,7 +75,7 @@ class NativeBackend(NumpyBackend):
         super().begin(world)
 
     def told(self) -> list[str]:
-        """Sentences for the user on what is otherwise than asked; none of it changes a result."""
+        """Return messages for the user on what differs from the request; none of it changes a result."""
         found = [] if self._without is None else [self._without]
         return found + codes.told()
 
@@ -83,14 +84,14 @@ class NativeBackend(NumpyBackend):
         self._look_for_code(world, True)
 
     def counts(self) -> dict[str, int]:
-        """Instructions in LLVM's language of each function, as they are made for a processor of no machine in particular."""
+        """Return the number of LLVM instructions of each function, compiled for a generic processor."""
         if self.ready is None:
             return {}
         made = program(self._plan, self.blocks, self.ready.facts, machine.ANY)
         return {f"instructions {name}": number for name, number in listing.counts(made).items()}
 
     def _look_for_code(self, world: World, waits: bool) -> None:
-        """Have code made once steps will pay for it, unless it is there: after the first step, which somebody waits for."""
+        """Have code made once steps will pay for it, unless it exists: after the first step, which a caller waits for."""
         if self.ready is not None or self._without is not None:
             return
         if self._timed and machine.available() and not machine.host().x86:
@@ -116,7 +117,7 @@ class NativeBackend(NumpyBackend):
             self.ready = ready
 
     def run(self, world: World, population: Population, block: str, rows: NDArray[np.intp] | None = None) -> None:
-        """Run a block for some rows (None: all), and put what they ask for into the population's effects. Births are NumPy's."""
+        """Run a block for some rows (None: all), and add their requests to the population's effects. NumPy runs births."""
         name = population.name
         code = None if rows is not None else self._running.get((name, block)) or self._code(name, block)
         metered = self.metered.get((name, block)) if self.metered else None
@@ -148,7 +149,8 @@ class NativeBackend(NumpyBackend):
         return found
 
     def _cells(self, world: World, population: Population, block: str, near: Near, number: int) -> Arrays:
-        """Cells for a search: they suit the greatest radius of the step before, or at first what `_guessed` gives."""
+        """Return the cells for a search. They suit the greatest radius of the previous step, or at first the result of
+        `_guessed`."""
         key = (population.name, block, number)
         other = world.populations[near.species]
         if key not in self._widest:
@@ -159,8 +161,8 @@ class NativeBackend(NumpyBackend):
 
 
 def _guessed(world: World, population: Population, other: Population, radii: list[ir.Node]) -> float:
-    """The greatest radius (mm) of a search, of some agents as the reference works it out. One that itself asks about agents would
-    take time with their number; instead of it stands what holds about `_CELL` of the others."""
+    """Return the greatest radius (mm) of a search, sampled from some agents with the reference. A radius that itself searches
+    agents would take too long; a radius that contains about `_CELL` of the others replaces it."""
     cheap = [radius for radius in radii if not any(each.op in ("set.agents", "set.every") for each in needed([radius]))]
     found = [0.0] if len(cheap) == len(radii) else [_spacing(other)]
     for row in np.linspace(0, len(population) - 1, min(_SAMPLED, len(population))).astype(int) if cheap else ():

@@ -27,7 +27,7 @@ _GUARDED = -1_000_000  # slots from here downward stand for who needs a call
 
 
 class Writer:
-    """What one function is written with: a builder, and the places of arrays and numbers."""
+    """The context for writing one function: a builder, and the places of arrays and numbers."""
 
     def __init__(self, module: Module, layout: Layout) -> None:
         self.module, self.layout = module, layout
@@ -44,12 +44,12 @@ class Writer:
         return self._bases[key]
 
     def array(self, slot: int, part: int, kind: str) -> Lanes:
-        """Address of an array that a value is left in, by its place among the rows of a run."""
+        """Return the address of a stored value's array, by its place among the rows of a run."""
         self.layout.array(slot, part, kind)
         return self.base("array", slot, part)
 
     def number(self, kind: str, *key: Any, one: bool = False) -> Lanes:
-        """A value that is the same for all agents: in every lane, or a single one."""
+        """Return a value that is equal for all agents: in every lane, or a single one."""
 
         def make() -> Lanes:
             place = self.e.address(self.base("numbers"), self.layout.number(*key), I64)
@@ -62,7 +62,7 @@ class Writer:
         return lanes
 
     def apply(self, op: str, *args: Lanes) -> Any:
-        """An elementwise operation: the function that NumPy goes by, given lanes."""
+        """Apply an elementwise operation to lanes: the function that NumPy uses."""
         formula = ELEMENTWISE[op]
         if op not in _LONG:
             return formula(*args)
@@ -76,8 +76,8 @@ class Writer:
 
 @dataclass(slots=True, eq=False)
 class Near:
-    """Reductions over neighbours of one species that are found in one search; `sets` are theirs, `beside` names of others'
-    registers, up to four in a text, that are wanted in the order of the cell grid."""
+    """Reductions over neighbours of one species that one search finds. `sets` are theirs; `beside` names others' registers, up to
+    four in a text, that are needed in the order of the cell grid."""
 
     species: str
     sets: list[ir.Node]
@@ -86,23 +86,23 @@ class Near:
 
 @dataclass(slots=True, eq=False)
 class BlockCode:
-    """What a block became: names of its stages' functions, and all that is needed to run them."""
+    """A compiled block: names of its stages' functions, and everything needed to run them."""
 
     species: ir.SpeciesPlan
     names: list[str]
     layout: Layout
     schedule: Schedule
     lines: Lines | None = None  # of code that is timed by line
-    faults: list[tuple[str, Any]] = field(default_factory=list)  # of refused values: what is refused, where in the text
+    faults: list[tuple[str, Any]] = field(default_factory=list)  # of rejected values: what, and where in the text
     near: list[Near] = field(default_factory=list)
     kept: list[ir.Node] = field(default_factory=list)
     bounds: dict[int, ir.Node] = field(default_factory=dict)  # `scents.bounds`
-    lists: list[Instruction] = field(default_factory=list)  # statements whose askers are written down, from slot -1 downward
-    needs: list[Instruction] = field(default_factory=list)  # calls of which is told whether somebody needs them
+    lists: list[Instruction] = field(default_factory=list)  # statements with lists of requesting rows, from slot -1 downward
+    needs: list[Instruction] = field(default_factory=list)  # calls with a note whether an agent needs them
     guarded: dict[Instruction, int] = field(default_factory=dict)  # calls that not all need, with the slot of who does
 
     def mask_of(self, each: Instruction) -> int:
-        """The slot that says for whom a call is made."""
+        """Return the slot of the mask that a call is made for."""
         guarded = self.guarded.get(each)
         return self.schedule.slot(each.scope.rows) if guarded is None else guarded
 
@@ -136,7 +136,7 @@ class BlockWriter(Writer):
         self._reductions: list[Instruction] = []
         self._index(compiler.root)
         self.mask: list[Lanes] = []
-        self._nobody: list[int] = []  # masks that nobody is in where the scope around is passed by
+        self._nobody: list[int] = []  # masks without agents where the scope around is skipped
         self.at_top: list[Callable[[], None]] = []  # what is written once all is, and runs first for each eight rows
         self.groups: dict[Instruction, Any] = {}  # reductions over neighbours, by the search that finds them
 
@@ -183,7 +183,7 @@ class BlockWriter(Writer):
     # --- instructions --------------------------------------------------------------------------------------------------
 
     def _line(self, each: Instruction) -> AbstractContextManager[None]:
-        """What is written within belongs to an instruction, where lines are timed."""
+        """Attribute the code written inside the context to an instruction, if lines are timed."""
         return nullcontext() if self.code.lines is None else self._timed(self.code.lines.counter(each))
 
     @contextmanager
@@ -210,14 +210,14 @@ class BlockWriter(Writer):
                             self.slot(each.out)
 
     def _needed(self, each: Instruction, mask: Lanes) -> None:
-        """Note whether somebody needs a call."""
+        """Note whether an agent needs a call."""
         e = self.e
         place = e.address(self.base("needs"), len(self.code.needs), I8)
         self.code.needs.append(each)
         e.put(place, e.load(place, I8) | e.mask_bits(mask))
 
     def _guard(self, each: Instruction) -> None:
-        """Note who needs a call, where that can be told, and leave what the others get."""
+        """Note which agents need a call, if that is known, and store the result of the others."""
         assert isinstance(each.what, ir.Node)
         guard = self.guards.get(each.what.op)
         if guard is None:
@@ -288,7 +288,7 @@ class BlockWriter(Writer):
     # --- values --------------------------------------------------------------------------------------------------------
 
     def slot(self, slot: int) -> Any:
-        """The value of a slot: known here already, the same for all, left by an earlier stage, or made now."""
+        """Return the value of a slot: known here already, loop-invariant, left by an earlier stage, or made now."""
         slot = self.schedule.slot(slot)
         if slot in self._uniform:
             node = self._uniform[slot]
@@ -333,8 +333,8 @@ class BlockWriter(Writer):
                 self.e.write(self.array(slot, part, each.kind), self.offset, each)
 
     def waiting(self, first: Instruction) -> list[Instruction]:
-        """Other reductions over the same species or items that can be found at the same time as one: what they need does not wait
-        for it. Those over agents may stand in other scopes."""
+        """Return other reductions over the same species or items that one search can compute with `first`: they do not depend on
+        its result. Those over agents may be in other scopes."""
         assert isinstance(first.what, ir.Node)
         found, of = [], first.what.args[0]
         for each in self._reductions:
@@ -381,7 +381,8 @@ class BlockWriter(Writer):
         self.e.write_where(mask, self.base("now", what.register), self.row, value)
 
     def refuse(self, bad: Lanes, what: str, span: Any) -> None:
-        """Note the rows whose value is not finite: first of the eight, then the number of what is refused above their bits."""
+        """Note the rows with a value that is not finite: first of the eight, then the number of the rejected value above their
+        bits."""
         e, faults = self.e, self.code.faults
         with e.inside(e.some(bad)):
             faults.append((what, span))  # one for each place that notes: there is room for one of each by eight rows

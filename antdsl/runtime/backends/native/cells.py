@@ -14,7 +14,7 @@ SLACK, BEYOND = 1.0 + 1e-6, 1.0 + 1e-5  # as in `senses.neighbours`
 
 
 class Cells:
-    """The cell grid of a search, as lanes of values that are the same for all."""
+    """The cell grid of a search, as lanes of loop-invariant values."""
 
     def __init__(self, w: Writer, number: int) -> None:
         e = w.e
@@ -42,8 +42,8 @@ class Cells:
         return e.whole(np.floor(first)), e.whole(np.floor(last))
 
     def between(self, z: Lanes, y: Lanes, first: Lanes, last: Lanes, within: Lanes) -> tuple[Lanes, Lanes]:
-        """Place in the grid's order of the first agent of a row of cells from one cell to another, and how many there are, i32;
-        0 and 0 where a condition does not hold."""
+        """Return where a row of cells starts in the grid's order, from one cell to another, and its number of agents, i32. Both
+        are 0 if a condition does not hold."""
         w, e = self.w, self.w.e
         starts, keys = w.base("grid", self.number, "starts"), w.base("grid", self.number, "keys")
         begin, end = e.slot(I32, WIDTH), e.slot(I32, WIDTH)
@@ -113,14 +113,14 @@ class Rows:
         self.c0, self.c1 = (e.where(sheet, e.constant(0, I32), c) for c in (c0, c1))
 
     def note(self) -> None:
-        """Remember the greatest radius that was asked for: the next step's cells suit it."""
+        """Store the greatest requested radius: the next step's cells suit it."""
         w = self.cells.w
         e, place = self.e, w.base("grid", self.cells.number, "widest")
         widest = e.where(self.usable & np.isfinite(self.widest), self.widest, e.constant(0.0, F32))
         e.write(place, 0, e.meaning(np.fmax, e.read(place, 0, F32), widest))
 
     def many(self) -> Lanes:
-        """How many rows `following` gives before it comes to the end, i64; from here on the first one comes first."""
+        """Return how many rows `following` gives in total, i64, and restart it at the first."""
         e, nothing = self.e, self.e.constant(0, I32)
         self._deep, self._tall = e.slot(I32), e.slot(I32)
         for slot in (self._deep, self._tall):
@@ -144,8 +144,8 @@ class Rows:
 
 
 def write_down(e: LaneBuilder, buffer: Lanes, total: Number, numbers: Lanes, inside: Lanes) -> None:
-    """Append those of eight numbers (i32) for which a condition holds. All are written, and written over where they
-    are not to stay: there is no branch that is hard to foretell."""
+    """Append those of eight numbers (i32) for which a condition holds. All are written, and unwanted ones are overwritten later,
+    which avoids a branch that is hard to predict."""
     bits = e.mask_word(inside)
     count = e.load(total, I64)
     if e.module.target.avx2:

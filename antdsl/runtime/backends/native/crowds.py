@@ -1,8 +1,8 @@
-"""The search for agents with very many neighbours: one at a time, any number of candidates, and the cap by distance and id.
+"""Search for agents with very many neighbours: one agent at a time, any number of candidates, and the cap by distance and id.
 
-Candidates are written down, then their distances, as whole numbers that are in the same order. Where there are more in the widest
-radius than the cap, the distance of the last one that counts is found by halving. It is the same for every radius: who is nearest
-in a wide one is so in a narrow one too. Then the list is cut to those who count, and gone through for all that is asked."""
+Candidates are listed, then their distances as integers in the same order. If the widest radius holds more than the cap, bisection
+finds the distance of the last counted neighbour. This cap applies to every radius, because the nearest in a wide radius are also
+the nearest in a narrow one. Then the list is cut to the counted neighbours and traversed for all requested reductions."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ _NONE = (1 << 31) - 1  # the number of a distance that does not count: above tho
 
 
 def write_many(b: BlockWriter, near: Search) -> None:
-    """The function that goes through some of eight asking agents, one by one."""
+    """Write the function that processes some of eight requesting agents, one by one."""
     w = Writer(b.module, b.layout)
     e = w.e
     rows, mask, own_area, out = e.named(I64, "%row"), e.named(I64, "%mask"), e.named(PTR, "%own"), e.named(PTR, "%out")
@@ -75,8 +75,8 @@ def write_many(b: BlockWriter, near: Search) -> None:
 
 @dataclass(slots=True, eq=False)
 class _Crowd:
-    """The others around one asking agent. `buffer` has where they stand in the grid's order, `keys` their distances as whole
-    numbers, `_NONE` for who is not in the widest radius; both go on to a multiple of eight. `total`: where their number lies."""
+    """The others around one requesting agent. `buffer` has their positions in the grid's order; `keys` has their distances as
+    integers, `_NONE` outside the widest radius. Both are padded to a multiple of eight. `total`: the address of their number."""
 
     w: Writer
     near: Search
@@ -87,7 +87,7 @@ class _Crowd:
     total: Number = field(init=False)
 
     def measure(self, radii: list[Lanes]) -> None:
-        """Write down who may be in the widest of some radii, and how far away they are."""
+        """List the others that may be in the widest of some radii, with their distances."""
         w, e = self.w, self.w.e
         self.buffer, self.total = w.base("candidates"), e.slot(I64)
         e.put(self.total, e.constant(0, I64, 1))
@@ -119,14 +119,14 @@ class _Crowd:
         self.w.e.write(self.buffer, count, self.w.e.constant(0, I32))
 
     def at(self, index: Lanes) -> Found:
-        """Eight of those written down, from an index on."""
+        """Return eight of the listed others, from an index on."""
         e = self.w.e
         there = index + e.iota() < e.load(self.total, I64)
         at = e.where(there, e.read(self.buffer, index, I32), e.constant(0, I32))
         return measured(self.w, self.near, at, self.place, there)
 
     def _count(self, test: Callable[[Lanes, Lanes], Lanes]) -> Lanes:
-        """How many pass a test, which is given an index and the keys of eight from there on."""
+        """Return how many of the others pass a test. Its input is an index and the eight keys from there on."""
         e = self.w.e
         counted = e.slot(I32, WIDTH)
         e.put(counted, e.constant(0, I32))
@@ -136,7 +136,7 @@ class _Crowd:
         return e.op("reduce.add", I32, e.load(counted, I32, WIDTH), lanes=1)
 
     def _least(self, place: Number, kind: str, most: int, enough: Callable[[Lanes], Lanes]) -> None:
-        """Find the least whole number from 0 to `most`, all of whose bits are 1, that is enough."""
+        """Find the least integer from 0 to `most` for which `enough` holds. All bits of `most` are 1."""
         e = self.w.e
         low, high = e.slot(kind), e.slot(kind)
         e.put(low, e.constant(0, kind, 1))
@@ -150,7 +150,7 @@ class _Crowd:
         e.put(place, e.load(high, kind))
 
     def more_than_may_be(self, radius: Lanes) -> Lanes:
-        """Whether more are in a radius than `limits.WITHIN_RADIUS`."""
+        """Return whether more than `limits.WITHIN_RADIUS` others are in a radius."""
         e = self.w.e
         many = e.slot(I8)
         e.put(many, e.constant(0, I8, 1))
@@ -162,7 +162,7 @@ class _Crowd:
         return e.load(many, I8)
 
     def cut(self) -> None:
-        """Leave only those in the list who count: of more than the cap the nearest, by (distance, id)."""
+        """Reduce the list to the others that count: above the cap, the nearest by (distance, id)."""
         e, cap = self.w.e, limits.NEIGHBOURS
         far, last = e.slot(I32), e.slot(I64)
         e.put(far, e.constant(_NONE - 1, I32, 1))

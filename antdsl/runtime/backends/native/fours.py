@@ -1,4 +1,4 @@
-"""Four floats that lie side by side, of eight lanes."""
+"""Loads of four adjacent floats for each of eight lanes."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ _FOUR = f"<4 x {F32}>"
 
 
 def quadruples(e: LaneBuilder, base: Lanes, index: Lanes) -> list[Lanes]:
-    """Of an array of four floats each the four of every lane's index (i32)."""
+    """Return four values per lane, from an array of four floats per index; `index` is i32."""
     fours = (four_at(e, base, e.one(index, lane)) for lane in range(WIDTH))
     return e.columns([e.op("load", F32, each, x=", align 4", lanes=4) for each in fours])
 

@@ -1,5 +1,4 @@
-"""The cell grids of searches: crowds in the order of cells (`senses.cell_order`), whose arrays and cells are reused in later
-steps."""
+"""Cell grids of searches: crowds in cell order (`senses.cell_order`). Their arrays and cells are reused in later steps."""
 
 from __future__ import annotations
 
@@ -16,11 +15,11 @@ from antdsl.numerics import parallel
 from antdsl.runtime.world import AXES, Population, World
 from antdsl.senses.cell_order import CellOrder, Places, Shape, box_around, in_order
 
-_AGAIN = 64  # steps after which a crowd has cells anew, and is asked whether it lies in one sheet
+_AGAIN = 64  # steps after which a crowd gets new cells and the sheet test is repeated
 _SPARE = 1 / 32  # of its extent, that a box goes on for beyond a crowd
 _FILLED = 0.8  # of its extent: a crowd that is less wide gets other cells
 _FEW = 128  # agents; among fewer the cells of an agent are no fewer to go through than all others
-_UNUSED = 16  # steps after which arrays of a size of cells that nobody asks for are let go
+_UNUSED = 16  # steps after which the arrays of an unused cell size are released
 _COARSER = 2  # quarters of an octave: finding others in cells that much wider costs less than sorting them again
 _CELLS = 4  # for each agent, above which wider ones cost less
 _WHOLE = 1e300  # mm: the width of a cell that has all places in it
@@ -31,8 +30,8 @@ Corners = tuple[list[float], list[float]]
 
 
 class _Box:
-    """A box somewhat larger than one around a crowd: its cells serve as long as the crowd stays in it and fills it, and not for
-    ever, since the crowd may spread in height."""
+    """A box slightly larger than the crowd's. Its cells are used while the crowd stays inside and fills it, and only for a
+    limited time, because the crowd may spread in height."""
 
     def __init__(self, corners: Corners, until: int) -> None:
         extent = [high - low for low, high in zip(*corners, strict=True)]
@@ -41,7 +40,7 @@ class _Box:
         self._least, self._until = [_FILLED * each for each in extent], until
 
     def suits(self, corners: Corners, step: int) -> bool:
-        """Whether its cells serve in a step in which these are the corners around the crowd."""
+        """Return whether its cells suit a step, given the corners of the crowd."""
         (ax, ay, az), (bx, by, bz) = corners
         (lx, ly, lz), (hx, hy, hz), (x, y, z) = self.low, self.high, self._least
         inside = lx <= ax and ly <= ay and lz <= az and bx <= hx and by <= hy and bz <= hz
@@ -90,7 +89,7 @@ class Grids:
             del self._stored[key]
 
     def of(self, world: World, other: Population, cell: float, beside: Registers = ()) -> Arrays:
-        """What a search is run with, of cells that suit a radius; `beside`: registers in the order of the cells."""
+        """Return the arrays for a search, with cells that suit a radius; `beside`: registers in the order of the cells."""
         size = float(ceil(4 * log2(cell))) if len(other) > _FEW and cell < inf else inf
         for wider in range(_COARSER + 1):
             found = self._found.get((other.name, size + wider))
@@ -128,7 +127,7 @@ class Grids:
         return _coarser(shape, _CELLS * len(other))
 
     def _is_sheet(self, other: Population, places: Places, shape: Shape) -> bool:
-        """Whether a crowd lies in one sheet: only speed hangs on it, so it is not asked each time."""
+        """Return whether a crowd lies in one sheet. Only speed depends on the result, so it is not computed in every step."""
         count, until, known = self._sheets.get(other.name, (-1, 0, False))
         if count != len(other) or self._step >= until:
             known, until = shape.is_sheet(places), self._step + _AGAIN
@@ -137,8 +136,8 @@ class Grids:
 
 
 def _coarser(shape: Shape, most: int) -> Shape:
-    """Wider cells of a crowd so sparse that there are more than so many, which would have to be counted for nobody: up to four
-    times along the fast axis, then up to twice along each."""
+    """Return a shape with wider cells if a sparse crowd needs more than `most` cells, most of them empty. Cells grow up to four
+    times along the fast axis, then up to twice along each axis."""
     if shape.cells <= most:
         return shape
     width, size = list(shape.width), list(shape.size)

@@ -1,4 +1,4 @@
-"""What parts of a block have of their own while machine code runs them: what stages leave to each other, lists, notes, counts."""
+"""The data of each part of a block while machine code runs: values passed between stages, lists, notes, counts."""
 
 from __future__ import annotations
 
@@ -23,9 +23,9 @@ _OWN = ("array", "laid", "notes", "counts", "needs", "ticks", "candidates")  # k
 
 
 class Lane:
-    """`counts`: above 0 first where somebody has too many others around, then how many each list has; `needs`: above 0 for a call
-    that somebody needs; `columns` of each list: rows, and what is written down beside them; `ticks` by line, of code that is
-    timed; `laid`: by field, whether anything was; `widest`: the greatest radius of each search."""
+    """`counts`: first, above 0 if an agent has too many neighbours; then the length of each list. `needs`: above 0 for a call
+    that some agent needs. `columns` of each list: rows, and the values stored with them. `ticks`: counters by line, for timed
+    code. `laid`: by field, whether anything was deposited. `widest`: the greatest radius of each search."""
 
     def __init__(self, code: BlockCode, pointers: NDArray[np.int64]) -> None:
         self.code, self.pointers = code, np.zeros_like(pointers)
@@ -55,7 +55,7 @@ class Lane:
             self.needs.fill(0)
 
     def settle(self, arrays: Arrays, rows: int, others: int) -> None:
-        """Have these arrays for so many rows, with eight spare ones behind them, and room for so many agents of the largest
+        """Set these arrays for `rows` rows, with eight spare rows after them, and buffers for `others` agents of the largest
         species."""
         self.arrays = arrays
         self.columns.clear()
@@ -90,8 +90,8 @@ class Lane:
 
 
 class Lanes:
-    """A lane for each part of a block that is under way at the same time. What stages leave of all of them lies in one piece,
-    part after part: their arrays are pieces of `arrays`."""
+    """One lane for each part of a block that runs at the same time. Stage results of all parts are contiguous, part after part:
+    the lanes' arrays are slices of `arrays`."""
 
     def __init__(self, code: BlockCode) -> None:
         self.code = code
@@ -101,8 +101,8 @@ class Lanes:
         self._asks: dict[Instruction, tuple[Ask, list[tuple[ir.Node, Any]]]] = {}  # and what of it goes by values of the step
 
     def ready(self, parts: int, rows: int, others: int, pointers: NDArray[np.int64]) -> list[Lane]:
-        """Have lanes for so many parts of so many rows each, whole eights where there are several, for so many agents of the
-        largest species, and with the addresses that all lanes have."""
+        """Return lanes for `parts` parts of `rows` rows each (multiples of eight if there are several parts). They have buffers
+        for `others` agents of the largest species, and the shared addresses."""
         while len(self.every) < parts:
             self.every.append(Lane(self.code, pointers))
         if rows != self._rows or parts > self._parts or others > self._others:
@@ -124,8 +124,8 @@ class Lanes:
             lane.settle(own, rows, self._others)
 
     def ask(self, each: Instruction, rows: int, uniform: Mapping[int, ir.Node], values: Mapping[ir.Node, Any]) -> Ask:
-        """Who of so many rows of all parts together needs a call, what it is made with, and where the next stage looks for its
-        results. `uniform`: nodes whose values are the same for all agents, by slot."""
+        """Return which of `rows` rows of all parts need a call, its arguments, and where the next stage reads its results.
+        `uniform`: nodes with one value for all agents, by slot."""
         known = self._asks.get(each)
         if known is not None:
             found, same = known

@@ -1,5 +1,5 @@
-"""Where a block's machine code finds its arrays and numbers: by a place in a table, so that the code knows no address and no
-value, and is the same for every world and every number of a program."""
+"""Where a block's machine code finds its arrays and numbers: by a place in a table. So the code contains no address and no value,
+and all worlds and numbers of a program share it."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ Key = tuple[Hashable, ...]
 
 @dataclass(slots=True, eq=False)
 class Layout:
-    """`pointers`: places in the table of addresses, the first one that of the numbers; `numbers`: places among the numbers, eight
-    bytes each; `arrays`: kinds of what is left from stage to stage or for calls, by slot and part."""
+    """`pointers`: places in the table of addresses; the first is that of the numbers. `numbers`: places among the numbers, eight
+    bytes each. `arrays`: kinds of values stored between stages or for calls, by slot and part."""
 
     pointers: dict[Key, int] = field(default_factory=lambda: {("numbers",): 0})
     numbers: dict[Key, int] = field(default_factory=dict)

@@ -1,4 +1,4 @@
-"""What of a plan is machine code, for people: stages, their instructions in LLVM's language, and what is called between them."""
+"""A readable listing of a plan's machine code: stages, their LLVM instructions, and the calls between them."""
 
 from __future__ import annotations
 
@@ -17,17 +17,17 @@ STILL = Facts(moving=False, detail=False)
 
 
 def of_plan(plan: ir.Plan, target: Target, facts: Facts = STILL) -> Program:
-    """A plan as machine code is made of it for a world."""
+    """Return a plan's program as it is compiled for a world."""
     return program(plan, NumpyBackend(plan).blocks, facts, target)
 
 
 def counts(made: Program) -> dict[str, int]:
-    """Instructions of each function, as they are written."""
+    """Return the number of instructions of each function, as emitted."""
     return {name: instructions(text) for name, text in made.functions.items() if text.startswith("define")}
 
 
 def instructions(text: str) -> int:
-    """How many instructions a function has: its lines but labels, its head and its end."""
+    """Return the number of instructions of a function: its lines without labels, head and end."""
     lines = (line.strip() for line in text.splitlines())
     return sum(1 for line in lines if line and not line.startswith(_HEADS) and not line.endswith(":"))
 

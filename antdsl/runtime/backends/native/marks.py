@@ -1,8 +1,8 @@
-"""Times machine code by line: marks in it read the processor's counter where the line that is worked out changes.
+"""Times machine code by line: marks read the processor's counter where the current line changes.
 
-Only code that somebody measures has them (`programs.Facts.timed`). What passes between two marks is added to the counter of the
-line before the later one; counters become seconds by the time that the functions took. What a line calls, such as a search that
-finds what several lines ask, counts for the line where it stands in the code."""
+Only measured code has marks (`programs.Facts.timed`). The time between two marks is added to the counter of the line before the
+later mark. The duration of the functions converts counters to seconds. Calls of a line, such as a search shared by several lines,
+count for the line where they stand in the code."""
 
 from __future__ import annotations
 
@@ -24,8 +24,9 @@ if TYPE_CHECKING:
 
 
 class Lines:
-    """Counters of a block: one for each line of the text within each layer, the first for what belongs to none. `numbers` are the
-    places of instructions among those of `Metered`; `told` has for each counter that of one whose line it is, -1 for none."""
+    """Counters of a block: one for each source line within each layer; the first is for instructions without a line. `numbers`:
+    the positions of instructions among those of `Metered`. `told`: for each counter, the number of the instruction on its line,
+    -1 for none."""
 
     def __init__(self, compiler: BlockCompiler) -> None:
         self.numbers = {each: k for k, each in enumerate(instructions_of(compiler.root))}
@@ -44,12 +45,12 @@ class Lines:
 
 
 class _Marks:
-    """Writes the instructions of a function again, with marks between those of different counters."""
+    """Rewrites a function with marks between instructions of different counters."""
 
     def __init__(self, w: Writer) -> None:
         self.e, self._ticks, self._last = w.e, w.base("ticks"), w.e.slot(I64)
         self._fenced = w.module.target.x86
-        self._kept: dict[str, Number] = {}  # places on the stack that values are kept in, by type
+        self._kept: dict[str, Number] = {}  # stack slots that hold values, by type
         self._since = 0  # where in the block the last mark ends
 
     def write(self) -> None:
@@ -70,7 +71,7 @@ class _Marks:
         self._count(current)
 
     def _count(self, number: int) -> None:
-        """Add what has passed since the last mark to a counter."""
+        """Add the time since the last mark to a counter."""
         e = self.e
         self._keep()
         last, now = e.load(self._last, I64), self._now()
@@ -80,14 +81,15 @@ class _Marks:
         self._border(now)
 
     def _now(self) -> Lanes:
-        """The counter, once all before it is done: else a line's divisions and roots are those of a later one."""
+        """Return the counter after all earlier instructions have completed. Otherwise a line's divisions and roots would count
+        for a later line."""
         if self._fenced:
             self.e.do("wait")
         return self.e.op("ticks", I64, lanes=1)
 
     def _keep(self) -> None:
-        """Have the values that nothing has read yet stored, which is not moved past the counter: else LLVM works them out where
-        they are read, in another line."""
+        """Store the values that are not read yet, with stores that LLVM does not move past the counter. Otherwise LLVM would
+        compute them where they are read, in another line."""
         written = self.e.block_now.body[self._since :]
         read = {operand.name for each in written for operand in each.operands}
         for value in [each.result for each in written if each.result is not None and each.result.name not in read]:
@@ -96,8 +98,8 @@ class _Marks:
             self.e.do("volatile", value, self._kept[value.type])
 
     def _border(self, count: Lanes) -> None:
-        """Operations that follow are not moved before this: LLVM puts those of a block in an order of its own, and another block
-        begins where there is a branch that it cannot know to be always taken. No count is 0."""
+        """Prevent LLVM from moving later operations before this point. LLVM reorders instructions within a basic block, and a
+        branch that it cannot prove always taken starts a new block. No count is 0."""
         e, never, following = self.e, self.e.label("never"), self.e.label("marked")
         e.branch(count != 0, following, never)
         e.begin(never)
@@ -108,14 +110,14 @@ class _Marks:
 
 
 def mark(w: Writer) -> None:
-    """Put marks into a function that is written but for its end."""
+    """Add marks to a function that is complete except for its end."""
     _Marks(w).write()
 
 
 @dataclass(slots=True, eq=False)
 class Times:
-    """What the parts of a block take in one run of it: `ticks` are the counters that its code adds to, `lane` is as
-    `Metered.lane` gives it, `seconds` what the functions took."""
+    """The times of a block's parts in one run. `ticks` are the counters that its code adds to, `lane` comes from `Metered.lane`,
+    `seconds` is the time of the functions."""
 
     lines: Lines
     ticks: NDArray[np.int64]
@@ -126,11 +128,11 @@ class Times:
         self.ticks[:] = 0
 
     def called(self, instruction: Instruction, seconds: float) -> None:
-        """An instruction that has no machine code took so long."""
+        """Add the time of an instruction without machine code."""
         self._add(self.lines.numbers[instruction], seconds)
 
     def end(self) -> None:
-        """Share what the functions took among their lines."""
+        """Divide the time of the functions among their lines."""
         ticks = np.maximum(self.ticks, 0)  # counters of two processors may differ
         to_seconds = self.seconds / max(int(ticks.sum()), 1)
         for number, count in zip(self.lines.told, ticks.tolist(), strict=True):

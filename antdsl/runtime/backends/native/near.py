@@ -1,4 +1,4 @@
-"""What the functions of a search are written from, and the pairs that they find."""
+"""The input for the functions of a search, and the pairs that they find."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ STRIDE = 64  # bytes from one operand or result of a search to the next
 
 @dataclass(slots=True, eq=False)
 class Search:
-    """What the functions of a search are written from: places of operands and results in their areas."""
+    """The input for the functions of a search: places of operands and results in their areas."""
 
     name: str
     number: int
@@ -30,14 +30,15 @@ class Search:
     reach: dict[ir.Node, int] = field(default_factory=dict)
     view: dict[ir.Node, int] = field(default_factory=dict)
     places: dict[ir.Node, int] = field(default_factory=dict)
-    stops: dict[ir.Node, int] = field(default_factory=dict)  # sets of which too many are told, and where among the results
+    # sets for which too many neighbours are reported, and their index among the results
+    stops: dict[ir.Node, int] = field(default_factory=dict)
     beside: list[str] = field(default_factory=list)  # others' registers that lie in the grid's order, up to four in a text
 
 
 @dataclass(slots=True, eq=False)
 class Found:
-    """Eight pairs: which are there at all, others' rows, other minus own, and its length; `at` are their indices in the grid,
-    `place` where they are."""
+    """Eight pairs: a mask of those that exist, the others' rows, the vector other minus own, and its length. `at` are their
+    indices in the grid, `place` their positions."""
 
     w: Writer
     near: Search
@@ -76,7 +77,8 @@ class Found:
         return found
 
     def _rows(self) -> Lanes:
-        """Others' rows, each read by itself: as addresses they are wanted one by one, which is slow out of eight."""
+        """Return the others' rows, each loaded separately. They are needed one by one as addresses, and extracting them from
+        eight lanes is slow."""
         e, places = self.w.e, self.w.base("grid", self.near.number, "places")
 
         def make() -> Lanes:
@@ -88,7 +90,7 @@ class Found:
 
 
 def measured(w: Writer, near: Search, at: Lanes, place: list[Lanes], there: Lanes) -> Found:
-    """Others at places in the grid, as seen from places of the asking agents."""
+    """Return pairs of the requesting agents' positions with others at indices of the grid."""
     e = w.e
     *others, rows = quadruples(e, w.base("grid", near.number, "places"), at)
     dx, dy, dz = (other - own for other, own in zip(others, place, strict=True))

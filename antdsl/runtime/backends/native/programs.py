@@ -1,4 +1,4 @@
-"""A plan's blocks as text for the machine: what is compiled together, and what it takes to run it."""
+"""A plan's blocks as text for the compiler: what is compiled together, and what running it needs."""
 
 from __future__ import annotations
 
@@ -26,15 +26,15 @@ _RUNS = ("decide", "act", "blend")
 
 
 def _reduce(b: BlockWriter, instruction: Instruction) -> None:
-    """Emit a reduction, with what is found together with it."""
+    """Emit a reduction, and the others that the same search computes."""
     assert isinstance(instruction.what, ir.Node)
     (search.neighbours if instruction.what.args[0].op == "set.agents" else sets.one_by_one)(b, instruction)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Program:
-    """`text` of all functions, that of each by its name, and of those that are called from outside with all that they call: what
-    is compiled by itself; `blocks` by species and block."""
+    """`text` of all functions, the text of each function by name, and the units that are compiled separately. A unit is a
+    function that is called from outside, with everything that it calls. `blocks`: by species and block."""
 
     text: str
     functions: Mapping[str, str]
@@ -44,8 +44,8 @@ class Program:
 
 @dataclass(frozen=True, slots=True)
 class Facts:
-    """What code depends on of a world: whether some of its ground moves, and whether agents may see boxes for obstacles;
-    `timed`: it is measured by line (`marks`)."""
+    """Properties of a world that the code depends on: whether some ground moves, and whether agents may treat boxes as obstacles.
+    `timed`: lines are measured (`marks`)."""
 
     moving: bool
     detail: bool

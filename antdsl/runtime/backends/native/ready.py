@@ -1,8 +1,8 @@
 """Makes a plan's blocks ready to run as machine code: text, code in memory, and the calls between its stages.
 
-Each function that is called from outside is compiled by itself, in a thread beside the run, and kept by its text: in memory, and
-in a folder for the next run (`object_cache`). Numbers of a program are no part of the text, so one that was changed compiles
-nothing, and an edit only the stages that it changes."""
+Each function that is called from outside is compiled separately, in a thread parallel to the run. The code is cached by its text:
+in memory, and in a folder for the next run (`object_cache`). Numbers of a program are no part of the text, so changing one
+compiles nothing. An edit compiles only the stages that it changes."""
 
 from __future__ import annotations
 
@@ -30,14 +30,14 @@ Blocks = Mapping[tuple[str, str], BlockCompiler]
 
 
 class Unavailable(Exception):
-    """No machine code can be made here; the message says why, and what to do about it."""
+    """Machine code cannot be made here. The message gives the reason and a remedy."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Ready:
-    """`blocks` as they were compiled, which the rest refers to; `codes` by the name of a function; `calls` makes each call of an
-    instruction that has no machine code; `together`: by block and stage what is called after it, those of one sense with one
-    name at once."""
+    """`blocks` as compiled, which the rest refers to. `codes`: by the name of a function. `calls`: makes the call of each
+    instruction without machine code. `together`: the calls after each stage, by block and stage; calls of one sense with one name
+    are combined."""
 
     blocks: Blocks
     facts: Facts
@@ -47,18 +47,18 @@ class Ready:
     together: Mapping[tuple[str, str, int], list[list[Instruction]]]
 
     def function(self, name: str) -> Any:
-        """A function of the program, as `machine.Code` gives it."""
+        """Return a function of the program, as in `machine.Code`."""
         return self.codes[name].function(name)
 
 
 def known(plan: ir.Plan, facts: Facts) -> Ready | None:
-    """What was made of a plan before, while that is in use somewhere."""
+    """Return an earlier result for a plan, while it is still in use somewhere."""
     with _guard:
         return _plans.get(plan, {}).get(facts)
 
 
 def _made(plan: ir.Plan, blocks: Blocks, facts: Facts) -> Generator[None, None, Ready]:
-    """A plan's blocks as machine code for this processor, a piece of the work at a time. Raises Unavailable."""
+    """Compile a plan's blocks for this processor, one piece of work per step of the generator. Raises Unavailable."""
     if why := machine.unavailable():
         raise Unavailable(why)
     made = program(plan, blocks, facts, machine.host())
@@ -81,9 +81,11 @@ def _made(plan: ir.Plan, blocks: Blocks, facts: Facts) -> Generator[None, None, 
 
 
 def beside(plan: ir.Plan, blocks: Blocks, facts: Facts) -> Future[Ready]:
-    """A plan's blocks as machine code for this processor, made in a thread; Unavailable where it cannot be made. What was asked
-    for last is made first: it is what somebody looks at. It is made as long as whoever asked holds what this gives: of a program
-    that is saved again before its code has come, the world before is gone, and nothing more is made for it."""
+    """Return a future of a plan's blocks as machine code for this processor, compiled in a thread. The future raises Unavailable
+    if they cannot be compiled.
+
+    The latest request is served first, because the user is viewing its result. Work continues only while the caller holds the
+    future. If a program is saved again before its code is ready, the previous world is gone and its compilation stops."""
     coming: Future[Ready] = Future()
     with _guard:
         _asked.append((ref(coming), _made(plan, blocks, facts)))
@@ -92,7 +94,7 @@ def beside(plan: ir.Plan, blocks: Blocks, facts: Facts) -> Future[Ready]:
 
 
 def _work() -> None:
-    """Do a piece of what was asked for last and is still waited for."""
+    """Do one piece of the latest request that is still needed."""
     with _guard:
         _asked[:] = [each for each in _asked if each[0]() is not None]
         if not _asked:
@@ -106,12 +108,12 @@ def _work() -> None:
     except Exception as problem:
         why = problem
         _over(asked, lambda coming: coming.set_exception(why))
-    with suppress(RuntimeError):  # the program ends; nobody waits
+    with suppress(RuntimeError):  # the program is exiting, so no caller waits
         _worker().submit(_work)
 
 
 def _over(asked: ReferenceType[Future[Ready]], tell: Callable[[Future[Ready]], None]) -> None:
-    """One that was asked for has been made, or cannot be."""
+    """Complete a request: its result is ready, or it has failed."""
     with _guard:
         _asked[:] = [each for each in _asked if each[0] is not asked]
     coming = asked()
@@ -120,7 +122,7 @@ def _over(asked: ReferenceType[Future[Ready]], tell: Callable[[Future[Ready]], N
 
 
 def forget() -> None:
-    """Let go of all code in memory that no backend has in use, as in a process that begins; what a folder keeps stays there."""
+    """Drop all code in memory that no backend uses, as in a new process. Code stored in folders stays."""
     with _guard:
         _plans.clear()
     codes.forget()
@@ -132,7 +134,7 @@ def _worker() -> ThreadPoolExecutor:
 
 
 def _groups(calls: list[Instruction]) -> list[list[Instruction]]:
-    """Calls in their order; those that can be guarded or are of one sense and name are made at once."""
+    """Return calls in their order, grouped: calls of one sense with one name run at once."""
     found: list[list[Instruction]] = []
     known: dict[Any, list[Instruction]] = {}
     for each in calls:

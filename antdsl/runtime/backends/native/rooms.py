@@ -1,5 +1,5 @@
-"""Arrays with room for eight rows behind the last one, which machine code reads at once: registers and what else the world keeps
-by a name are moved into such arrays where they lie, what others own is copied."""
+"""Arrays with eight spare rows after the last one, because machine code reads eight at once. Registers and other named arrays of
+the world are moved into such arrays; arrays of other owners are copied."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ from antdsl.machine_code.memory import address, has_room, roomy
 from antdsl.runtime.backends.native.layout import Key
 from antdsl.runtime.world import Population
 
-_FEW = 64  # arrays that nobody looks for whether they are still in use
+_FEW = 64  # number of arrays below which unused ones are not searched for
 
 
 class Rooms:
-    """Arrays with room, by what they hold: the same one for all blocks that name it."""
+    """Padded arrays by content; all blocks that name the same content share one."""
 
     def __init__(self) -> None:
         self._moved: dict[int, tuple[NDArray[Any], NDArray[Any], int]] = {}  # by identity: an array, that with room, its address
@@ -27,20 +27,21 @@ class Rooms:
         self.step = 0  # goes up with each: what stays while one lasts is copied once
 
     def place(self, array: NDArray[Any]) -> tuple[NDArray[Any], int]:
-        """An array with room and what another one holds, which is the same one if it has room; and its address. Whoever has the
-        other goes on with this one."""
+        """Return an array with padding and the same content, and its address. It is `array` if that already has padding. The
+        caller continues with the returned array."""
         known = self._moved.get(id(array))
         if known is None:
             new = array if has_room(array) else roomy(array)
             known = self._moved[id(array)] = (array, new, address(new))
             self._moved[id(new)] = (new, *known[1:])
-        elif known[1] is not array:  # somebody goes on with the one without room, as who asks specs does: it may have changed
+        # a caller, such as a spec query, continues with the array without padding: it may have changed
+        elif known[1] is not array:
             np.copyto(known[1], array)
         return known[1:]
 
     def moved(self, population: Population, name: str, *, start: bool) -> tuple[NDArray[Any], int]:
-        """A register's array with its address, moved into one with room unless it is in one. Start and now share the new one
-        where they shared the old one: else it would be copied at the end of each step."""
+        """Return a register's array and its address, after moving it into a padded array if needed. If start and now shared the
+        old array, they share the new one; otherwise it would be copied at the end of each step."""
         holders = population.start, population.now
         array = holders[not start][name]
         found = self.place(array)
@@ -50,7 +51,7 @@ class Rooms:
         return found
 
     def settle(self, populations: Iterable[Population]) -> None:
-        """A step begins. Let go of arrays that nobody has any more, once they may be more than those in use."""
+        """Begin a step: release unused arrays once they may outnumber those in use."""
         self.step += 1
         if len(self._moved) > self._most:
             held = {id(array) for each in populations for holder in (each.start, each.now) for array in holder.values()}
@@ -58,11 +59,11 @@ class Rooms:
             self._most = max(_FEW, 2 * len(self._moved))
 
     def forget(self) -> None:
-        """Rows are others now: let go of arrays that are no longer in use."""
+        """Drop arrays that are no longer in use, after the rows changed."""
         self._moved.clear()
 
     def copy(self, *key: Hashable) -> Copy:
-        """What stands for a key: the same one for all blocks that name it."""
+        """Return the copy for a key; all blocks that name it share it."""
         return self._copies.setdefault(key, Copy(self))
 
 
@@ -77,7 +78,7 @@ class Copy:
         self._whole: NDArray[Any] = np.zeros(0)
 
     def of(self, array: NDArray[Any], dtype: Any, stamp: Any = None) -> int:
-        """The address of a copy. `stamp`: as long as it stays, so does what was copied; without one that is a step."""
+        """Return the address of a copy. The copy is valid while `stamp` stays the same; without one, for one step."""
         stamp = self._rooms.step if stamp is None else stamp
         if stamp != self._of or len(self._whole) != len(array) + WIDTH:
             self._size(len(array), dtype)
@@ -86,7 +87,7 @@ class Copy:
         return self._address
 
     def lasting(self, of: Any, make: Callable[[], NDArray[Any]]) -> int:
-        """The address of what is made of something, as long as that is the same one."""
+        """Return the address of an array derived from `of`, made again when `of` is another object."""
         if of is not self._of:
             self._of, self._whole = of, make()
             self._address = address(self._whole)

@@ -1,5 +1,5 @@
-"""Runs one block of machine code: its rows in parts, perhaps in several threads, through its stages and the calls between them,
-and what is asked of the world."""
+"""Runs one block of machine code. Its rows go in parts, perhaps in several threads, through its stages, the calls between them
+and its requests to the world."""
 
 from __future__ import annotations
 
@@ -54,9 +54,9 @@ class Block:
     def run(
         self, world: World, population: Population, values: dict[ir.Node, Any], timed: Metered | None
     ) -> list[tuple[int, int]]:
-        """Take all rows through the block, and put what they ask for into the population's effects, in the order of their rows.
-        `values` are those that are the same for all agents, `timed` tells of lines while they are timed. Gives the parts, as
-        first row and the one after the last, in which some agent has too many others in a radius."""
+        """Run all rows through the block and add their requests to the population's effects, in row order. `values`: those that
+        are equal for all agents. `timed`: collects times by line, if lines are timed. Returns the parts in which an agent has too
+        many neighbours in a radius, each as first row and end row."""
         count, others = len(population), self.tables.others(world)
         of = (count, others, world.options.chunk, world.options.threads, self.tables.version)
         if of != self._ready_for:
@@ -67,7 +67,7 @@ class Block:
         return self._parts(world, population, values)
 
     def _ready(self, count: int, others: int, chunk: int, threads: int, version: int) -> None:
-        """Share out so many rows, and have lanes ready for them."""
+        """Divide the rows into parts and prepare their lanes."""
         threads = max(1, min(threads, cores()))
         size = _part(count, chunk, threads)
         bounds = [(begin, min(begin + size, count)) for begin in range(0, count, size)]
@@ -100,8 +100,8 @@ def _in_place(each: Instruction) -> bool:
 
 
 def _part(count: int, chunk: int, threads: int) -> int:
-    """Rows of a part: as many as a chunk has at most, and where that pays several parts for each thread, to even them out. All
-    that a thread has in a round are no more than a chunk, which stays in its memory from stage to stage."""
+    """Return the rows of a part: at most a chunk, and where it pays several parts per thread for balance. The parts of a thread
+    in one round are at most a chunk together, which stays in cache from stage to stage."""
     most = chunk if threads < 2 else chunk // EACH
     parts = max(-(-count // max(WIDTH, most)), min(EACH * threads, count // parallel.PART) if threads > 1 else 1)
     most = _GRAIN * parts
@@ -109,8 +109,8 @@ def _part(count: int, chunk: int, threads: int) -> int:
 
 
 class Round:
-    """Parts of a block's rows, one behind the other, that go through its stages together: all through one, without the
-    interpreter in between, then through the calls at its end, then through the next."""
+    """Consecutive parts of a block's rows that go through its stages together. All pass one stage without the interpreter, then
+    the calls at its end, then the next stage."""
 
     def __init__(self, block: Block, chunks: list[Chunk], bounds: list[tuple[int, int]], threads: int) -> None:
         self._block, self._threads, self._bounds = block, threads, bounds
@@ -119,8 +119,8 @@ class Round:
         self._table = np.array([(each.lane.address, *part) for each, part in zip(self.chunks, bounds, strict=True)], np.int64)
 
     def run(self, world: World, population: Population, values: dict[ir.Node, Any]) -> list[tuple[int, int]]:
-        """Take the parts through all stages; what they ask of the world is added to the population's effects. Gives those parts
-        in which some agent has too many others in a radius."""
+        """Run the parts through all stages and add their requests to the population's effects. Return the parts in which an agent
+        has too many others in a radius."""
         chunks, timed = self.chunks, self.chunks[0].times is not None
         for each, part in zip(chunks, self._bounds, strict=True):
             each.begin(world, population, values, *part)
@@ -138,7 +138,7 @@ class Round:
         coming = iter(self.chunks)
 
         def some(_: int) -> None:
-            for each in coming:  # the next one that nobody has
+            for each in coming:  # the next chunk that no thread has taken
                 work(each)
 
         if len(self.chunks) > 1:
@@ -147,7 +147,7 @@ class Round:
             some(0)
 
     def _calls(self, world: World, population: Population, values: dict[ir.Node, Any], every: Calls) -> None:
-        """Make the calls at the end of a stage that somebody needs."""
+        """Run the calls at the end of a stage that some agent needs."""
         needs = [max(each) for each in zip(*[chunk.lane.needs.tolist() for chunk in self.chunks], strict=True)]
         others = []
         for in_place, some in every:
@@ -160,8 +160,8 @@ class Round:
             self._each(partial(Chunk.calls, every=others))
 
     def _answer(self, world: World, population: Population, values: dict[ir.Node, Any], some: list[Instruction]) -> None:
-        """Have one or several of one sense with one name answered where a stage has left who asks and what, and where the next
-        one looks for the results."""
+        """Run one or several calls of one sense with one name. The inputs are where a stage stored them, the results where the
+        next stage reads them."""
         began, block, node = perf_counter(), self._block, some[0].what
         assert isinstance(node, ir.Node)
         answer, nothing = IN_PLACE[node.op]
@@ -176,7 +176,7 @@ class Round:
 
 
 class Chunk:
-    """Takes rows of a block through its stages, in a thread. `times` are counted while they are there."""
+    """Runs rows of a block through its stages, in a thread. `times`, if set, are counted."""
 
     world: World
     population: Population
@@ -191,7 +191,7 @@ class Chunk:
         self._slots: list[Any] | None = None
 
     def begin(self, world: World, population: Population, values: dict[ir.Node, Any], first: int, last: int) -> None:
-        """Have these rows (from the first to before the last) before one."""
+        """Set the rows to run (from the first to before the last)."""
         self.world, self.population, self.values = world, population, values
         self.first, self.last = first, last
         self._slots = None
@@ -206,8 +206,8 @@ class Chunk:
             self.times.seconds += perf_counter() - began
 
     def end(self) -> bool:
-        """The rows have been through all stages: put what they ask for to the population's effects. Gives whether all went well:
-        False where some agent has too many others in a radius."""
+        """After all stages: add the rows' requests to the population's effects. Return False if an agent has too many others in a
+        radius."""
         lane, effects = self.lane, self.population.effects
         crowded, *counts = lane.counts.tolist()
         if not crowded:
@@ -217,11 +217,11 @@ class Chunk:
             if lane.notes[0]:
                 self._faults()
         self._slots = None
-        del self.world, self.population, self.values  # which are no longer needed, once nobody else has them
+        del self.world, self.population, self.values  # not needed once no other thread uses them
         return not crowded
 
     def took(self, began: float, some: list[Instruction], rows: list[int]) -> None:
-        """Calls have come to their end; each has its share of the time by the rows that it was made for."""
+        """Divide the time of completed calls among them, by the rows of each."""
         if self.times is not None:
             each_row = (perf_counter() - began) / max(sum(rows), 1)
             for each, count in zip(some, rows, strict=True):
@@ -263,7 +263,7 @@ class Chunk:
         return rows
 
     def _operand(self, slot: int, rows: NDArray[np.intp]) -> Any:
-        """What a stage has left for some rows, or what is the same for all."""
+        """Return a stage's values for some rows, or a value that is equal for all agents."""
         source = self.block.code.schedule.slot(slot)
         array = self.lane.arrays.get((source, 0))
         if array is not None:
@@ -288,7 +288,7 @@ class Chunk:
                     self._call(needed)
 
     def _call(self, some: list[Instruction]) -> None:
-        """Make a call, or several of one sense with one name at once: who asks is named as often as it asks."""
+        """Make a call, or several of one sense with one name at once: a row appears once for each of its requests."""
         code, began = self.block.code, perf_counter()
         if len(some) == 1 and some[0] not in code.guarded:
             rows = self._enter(some[0].scope)

@@ -1,4 +1,4 @@
-"""Scent of which is only asked whether it is as strong as something: where no cell around holds as much, no cell is looked at."""
+"""Scents that are only compared with a bound: if no cell around holds as much, no cell is read."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ _COMPARED = frozenset(("lt", "le", "gt", "ge"))
 
 
 def own_cell(w: Any, field: str) -> Lanes:
-    """The agent's own cell; that past the end for none."""
+    """Return the agent's own cell; for none, the index past the end."""
     cell = w.e.read(w.base("cell", field), w.row, I32)
     found: Lanes = w.e.where(cell < 0, w.number(I32, "cells", field), cell)
     return found
 
 
 def reached(w: Any, node: ir.Node, bound: ir.Node) -> Lanes:
-    """For whom a cell around may hold as much as a bound."""
+    """Return the lanes for which a cell around may hold as much as a bound."""
 
     def make() -> Lanes:
         found: Lanes = w.e.gather(w.base("reached", *node.attrs, bound), own_cell(w, node.attrs[0]), BOOL)
@@ -34,14 +34,15 @@ def reached(w: Any, node: ir.Node, bound: ir.Node) -> Lanes:
 
 
 def strength(w: Any, node: ir.Node, bound: ir.Node, kept: Lanes) -> Lanes:
-    """What is kept of a scent that reaches a bound; of others 0, which is below it as they are."""
+    """Return the stored value `kept` of scents that may reach the bound. For others, return 0, which is below the bound as their
+    true value is."""
     found: Lanes = w.e.where(reached(w, node, bound), kept, w.e.constant(0.0, kept.kind))
     return found
 
 
 def bounds(compiler: BlockCompiler, schedule: Schedule) -> dict[int, ir.Node]:
-    """The bound of each scent that is kept for the step and read for nothing but how it compares with that one number, the same
-    for all agents; by the slot of the scent."""
+    """Return the bounds of scents by slot. These scents are stored for the step and only compared with one number, which is equal
+    for all agents."""
     uniform = {slot: node for node, slot in compiler.uniforms.items()}
     readers: dict[int, list[Instruction]] = {}
     scents: list[int] = []

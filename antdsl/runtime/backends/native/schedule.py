@@ -1,9 +1,8 @@
-"""In which stage each instruction of a block runs, and which values one stage leaves to the next.
+"""Assigns each instruction of a block to a stage, and finds the values that one stage leaves to the next.
 
-What has no machine code (rays, curves, flows) is called between two stages: all rows go through stage 0, then the calls that
-stand at its end are made, then all rows go through stage 1. A statement runs in the first stage that can know its operands, in
-the order of the text; a value is worked out where it is first wanted, and left in an array where a later stage or a call wants
-it too."""
+Operations without machine code (rays, curves, flows) are called between two stages. All rows go through stage 0, then the calls
+at its end run, then all rows go through stage 1. A statement runs in the first stage that knows its operands, in source order. A
+value is computed where it is first needed. It is left in an array if a later stage or a call needs it too."""
 
 from __future__ import annotations
 
@@ -19,21 +18,21 @@ PAIRED = (Does.PAIRS, Does.SPREAD, Does.OF_PAIR, Does.BY_PAIR)
 
 @dataclass(slots=True, eq=False)
 class Schedule:
-    """`home`: the stage in which a slot's value is worked out; `left`: slots that are left in arrays; `calls[k]`: what is called
-    after stage k. The mask of a scope has the slot of its rows; that of the root is known in every stage."""
+    """`home`: the stage in which a slot's value is computed. `left`: slots that are left in arrays. `calls[k]`: the calls after
+    stage k. The mask of a scope has the slot of its rows; the mask of the root is known in every stage."""
 
     stages: int
     home: dict[int, int]
     left: set[int]
     wanted: dict[int, set[int]]
-    at: dict[Instruction, int]  # stage of statements, of the end of a kept sense
+    at: dict[Instruction, int]  # stage of statements, or of the end of a cached sense
     calls: list[list[Instruction]]
     alias: dict[int, int]
     native: frozenset[Instruction]  # values and reductions with machine code
-    inlined: frozenset[Instruction]  # kept senses that are cheap enough to be worked out again
+    inlined: frozenset[Instruction]  # cached senses that are cheap enough to compute again
 
     def slot(self, slot: int) -> int:
-        """Where a value stands that scopes inside gather from."""
+        """Return the slot that stores a value, following the gathers of inner scopes."""
         while slot in self.alias:
             slot = self.alias[slot]
         return slot
@@ -61,8 +60,8 @@ class _Maker:
 
 
 def schedule(compiler: BlockCompiler, lowers: Callable[[ir.Node], bool], costly: Callable[[ir.Node], bool]) -> Schedule:
-    """The stages of a block. `lowers` says whether a node has machine code, `costly` whether one that is kept for the step has to
-    be kept by machine code too, rather than worked out again."""
+    """Return the stages of a block. `lowers`: whether a node has machine code. `costly`: whether machine code must also store a
+    node that is cached for the step, instead of computing it again."""
     maker = _Maker(compiler, lowers, costly, frozenset(compiler.uniforms.values()))
     for instruction in _all(compiler.root):
         what = instruction.what
@@ -101,7 +100,8 @@ def _known(maker: _Maker, slots: tuple[int, ...]) -> int:
 
 
 def _first(maker: _Maker, scope: Scope, begun: int) -> None:
-    """The first stage in which each value can be known, and that of each statement; `begun`: from which the scope's mask is."""
+    """Compute the first stage in which each value can be known, and that of each statement. `begun`: the first stage with the
+    scope's mask."""
     maker.first[scope.rows] = begun
     for each in scope.code:
         stage, what = max(begun, _known(maker, each.inputs)), each.what
@@ -242,12 +242,13 @@ def _wanted(maker: _Maker) -> Schedule:
 
 
 def _through(maker: _Maker, scope: Scope, wanted: dict[int, set[int]], stages: set[int]) -> None:
-    """What runs in an inner scope is reached through the scopes around it."""
+    """Mark the enclosing scopes of an inner scope as needed in the same stages."""
     wanted.setdefault(_slot(maker, scope.rows), set()).update(stages)
 
 
 def _in_order(scope: Scope) -> Iterator[tuple[Instruction, bool]]:
-    """Instructions in the order in which they run; one with an inner scope before it and, as True, after it."""
+    """Yield the instructions in execution order. One with an inner scope appears before that scope with False, and again after it
+    with True."""
     for instruction in scope.code:
         yield instruction, False
         if instruction.inner is not None:

@@ -1,12 +1,11 @@
-"""Reductions over neighbours as machine code: one search of the cell grid for all that is asked of one species.
+"""Reductions over neighbours as machine code: one search of the cell grid for all reductions over one species.
 
-For eight asking agents at a time the cells in reach are worked out side by side; candidates in them are measured, eight at a
-time, and those near enough and in view written down, a list for each asking agent. Then the lists are gone through side by
-side: a pair of each of the eight agents is tested, weighed and added to its sums. Who has very many candidates is left to
-`crowds`.
+For eight agents at a time, the cells in reach are computed in SIMD lanes. Candidates in them are measured, eight at a time. Those
+near enough and in view are listed, one list per agent. Then the lists are traversed in SIMD lanes: one pair of each of the eight
+agents is tested, weighted and added to its sums. `crowds` handles agents with very many candidates.
 
-Reductions of several regions are found in one search where what they need is known: the first region that asks has it made for
-its agents, those after it only for agents that have not asked yet. What nobody asks for then is found in vain, and not seen."""
+Reductions of several regions share one search if its inputs are known. The first region runs the search for its agents, later
+regions only for agents without results yet. Results that no region reads are computed but have no effect."""
 
 from __future__ import annotations
 
@@ -43,8 +42,8 @@ _TINY, _SLACK = np.float32(1e-30), np.float32(1e-5)
 
 @dataclass(slots=True, eq=False)
 class Group:
-    """Reductions found in one search. `own` is the address of the area of operands, `out` that of results; `done` of the mask of
-    those who have them already."""
+    """Reductions computed in one search. `own` is the address of the operand area, `out` that of the results, `done` that of the
+    mask of agents that already have them."""
 
     number: int
     instructions: list[Instruction]
@@ -55,7 +54,7 @@ class Group:
 
 
 def neighbours(b: BlockWriter, instruction: Instruction) -> None:
-    """Emit a reduction over neighbours, with all others that can be found together with it."""
+    """Emit a reduction over neighbours, with all others that the same search can compute."""
     e, group = b.e, _group_of(b, instruction)
     shared = any(each.scope is not instruction.scope for each in group.instructions)
     mask = b.mask[-1]
@@ -145,7 +144,7 @@ def _made(b: BlockWriter, group: Group, asking: Lanes) -> None:
     e.do("call", b.table, b.row, asking, group.own, group.out, x=f"@{near.name}")
 
 
-# --- eight agents side by side ---------------------------------------------------------------------------------------
+# --- eight agents in SIMD lanes --------------------------------------------------------------------------------------
 
 
 def _write(b: BlockWriter, near: Search) -> None:
@@ -200,14 +199,14 @@ def _write(b: BlockWriter, near: Search) -> None:
 
 
 def _across(e: LaneBuilder, buffer: Lanes, k: Lanes) -> Lanes:
-    """The number at a place of each of the eight agents' lists."""
+    """Return the element at one index of each of the eight agents' lists."""
     first = e.address(buffer, k, I32)
     return e.together(e.load(e.field(first, 4 * _LIST * lane), I32) for lane in range(WIDTH))
 
 
 class _Seen:
-    """Tests whether candidates may be in some set: by squares, with some slack, so that no root is taken of who is too far away
-    or out of view. Of each eight asking agents it keeps the numbers that this takes, to be read one agent at a time."""
+    """Tests whether candidates may be in some set. It compares squares with some slack, so that no root is taken for others too
+    far away or out of view. It stores the limits of eight requesting agents, to be read one agent at a time."""
 
     def __init__(
         self, e: LaneBuilder, radius: Mapping[ir.Node, Lanes], view: Mapping[ir.Node, Lanes], search: Rows, heading: list[Lanes]
@@ -232,7 +231,7 @@ class _Seen:
         return place
 
     def of(self, lane: Lanes) -> Callable[[list[Lanes]], Lanes]:
-        """What asks it of eight candidates of one agent, given their places."""
+        """Return the test for one agent. Its input are the positions of eight candidates."""
         e = self.e
 
         def one(place: Number) -> Lanes:
@@ -262,8 +261,8 @@ class _Seen:
 def _candidates(
     w: Writer, near: Search, search: Rows, asks: Lanes, seen: _Seen, itself: Lanes | None
 ) -> tuple[Lanes, Lanes, Lanes]:
-    """Write down who may be in a set of each of eight agents, in a list of each. Gives where, how many each has, and agents with
-    too many candidates, whose lists are not gone through."""
+    """List the possible members of a set for each of eight agents. Returns the list positions, the list lengths, and the agents
+    with too many candidates, which have their lists skipped."""
     e = w.e
     buffer = w.base("candidates")
     asked, found, number, own_place = (e.slot(I32, WIDTH) for _ in range(4))

@@ -1,5 +1,4 @@
-"""What an agent can sense, as machine code: of the operations in `runtime.sensing` those that only read arrays. The others are
-called between two stages."""
+"""Senses as machine code: the operations in `runtime.sensing` that only read arrays. The others are called between two stages."""
 
 from __future__ import annotations
 
@@ -175,19 +174,19 @@ def _field_value(w: Any, node: ir.Node, args: tuple[Any, ...]) -> Lanes:
 
 
 def _cells_ahead(w: Any, field: str, eights: int) -> Lanes:
-    """The cells of eight agents who come so many turns later; those of now at the end."""
+    """Return the cells of the eight agents that come `eights` iterations later; near the end, those of the current ones."""
     e: LaneBuilder = w.e
     later = w.row + WIDTH * eights
     return e.read(w.base("cell", field), e.where(later < w.end, later, w.row), I32)
 
 
 def _fetch(e: LaneBuilder, array: Lanes, at: Lanes, size: int) -> None:
-    """Have so many bytes of an array from an index on brought into the cache; it may be any."""
+    """Prefetch `size` bytes of an array from an index on; any index is safe."""
     e.fetch(e.address(array, e.convert(at, I64) * size, I8))
 
 
 def fetch_ahead(w: Any, field: str, array: Lanes, size: int, eights: int = 1) -> None:
-    """Have what an array holds of the cells of agents who come later, so many bytes of each, brought into the cache."""
+    """Prefetch the array elements (`size` bytes) for the cells of agents that come `eights` iterations later."""
     e: LaneBuilder = w.e
     cells = _cells_ahead(w, field, eights)
     for lane in range(WIDTH):
@@ -195,7 +194,7 @@ def fetch_ahead(w: Any, field: str, array: Lanes, size: int, eights: int = 1) ->
 
 
 def _fetch_around(w: Any, field: str, held: Lanes, places: Lanes, block: Lanes, count: int) -> None:
-    """Have what lies in the cells around the next eight agents brought into the cache, and which they are of those after them."""
+    """Prefetch the contents of the cells around the next eight agents, and the cell lists of the eight after them."""
     e: LaneBuilder = w.e
     fetch_ahead(w, field, block, 4 * count, 2)
     cells = _cells_ahead(w, field, 1)
@@ -209,8 +208,8 @@ def _fetch_around(w: Any, field: str, held: Lanes, places: Lanes, block: Lanes, 
 
 
 def _first_most(e: LaneBuilder, held: Lanes, cells: Lanes, count: int, own: Lanes) -> tuple[Lanes, Lanes]:
-    """The greatest of the amounts in so many cells of a list, and the first cell that has it; 0 and the own cell where none is
-    above 0. What is no number counts as 0."""
+    """Return the greatest of the amounts in `count` cells of a list, and the first cell that has it; 0 and the own cell if none
+    is above 0. NaN counts as 0."""
     none = e.constant(0.0, F64)
     eights = []
     for first in range(0, count, WIDTH):
@@ -244,7 +243,7 @@ def _field_strongest(w: Any, node: ir.Node, args: tuple[Any, ...]) -> Any:
     asks = e.mask_word(w.mask[-1] & there)
     with e.inside(asks != 0):
         _fetch_around(w, field, held, places, block, int(count))
-    with e.loop(WIDTH) as lane, e.inside(e.has_bit(asks, lane)):  # cells of one agent lie side by side
+    with e.loop(WIDTH) as lane, e.inside(e.has_bit(asks, lane)):  # cells of one agent are adjacent in memory
         mine = e.read_one(whose, lane, I32)
         best, at = _first_most(e, held, e.address(block, e.convert(mine, I64) * int(count), I32), int(count), mine)
         e.put(e.address(most, lane, F64), best)
@@ -260,7 +259,7 @@ def _field_strongest(w: Any, node: ir.Node, args: tuple[Any, ...]) -> Any:
 
 
 def _clip_value(w: Any, node: ir.Node, args: tuple[Any, ...]) -> Lanes:
-    """From the table of the species' clips, where the last place is that of unknown ones."""
+    """Read the table of the species' clips; its last place is for unknown clips."""
     e: LaneBuilder = w.e
     last = e.constant(len(w.code.species.clips), I32)
     number = e.where((args[0] >= 0) & (args[0] < last), args[0], last)

@@ -1,5 +1,5 @@
-"""Reductions as machine code: values of pairs, and how items and `every` are gone through: one by one, for eight asking agents at
-a time. Neighbours are found in `search`, what is added up stands in `sums`."""
+"""Reductions as machine code: pair values, and items and `every`, visited one by one for eight requesting agents at a time.
+`search` finds neighbours, `sums` has the accumulators."""
 
 from __future__ import annotations
 
@@ -22,7 +22,8 @@ from antdsl.runtime.world import AXES
 
 
 def lowers(node: ir.Node, leaves: frozenset[str]) -> bool:
-    """Whether a reduction has machine code: all that hangs on the other one is an operation or a leaf that has."""
+    """Return whether a reduction has machine code: everything that depends on the other element is an operation or a leaf with
+    machine code."""
     known = {"pair.x", "pair.y", "pair.z", "pair.distance", "other", "other.id", "other.row"} | leaves
     pairs = [each for each in needed(node.args[1:]) if each.rate is ir.Rate.PAIR]
     return node.op in START and all(each.op in ELEMENTWISE or each.op in known for each in pairs)
@@ -32,7 +33,7 @@ def lowers(node: ir.Node, leaves: frozenset[str]) -> bool:
 
 
 class PairValues:
-    """Values over pairs by their nodes. `own` gives a value of the asking agent, `leaf` what belongs to the pair."""
+    """Values over pairs by node. `own` returns a value of the requesting agent, `leaf` a value of the pair."""
 
     def __init__(self, w: Writer, own: Callable[[ir.Node], Lanes], leaf: Callable[[ir.Node], Lanes], senses: Any) -> None:
         self.w, self.own, self.leaf, self.senses = w, own, leaf, senses
@@ -132,7 +133,7 @@ def sets_of(instructions: list[Instruction]) -> dict[ir.Node, tuple[int, ...]]:
 
 
 def own_values(b: BlockWriter, instructions: list[Instruction]) -> dict[ir.Node, Callable[[], Any]]:
-    """The asking agents' own values that reductions are made of."""
+    """Return the requesting agents' own values that the reductions need."""
     makers = {each.out: each for each in instructions[0].scope.code if each.does in PAIRED}
     found: dict[ir.Node, Callable[[], Any]] = {}
     for instruction in instructions:

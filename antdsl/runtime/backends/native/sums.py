@@ -1,6 +1,6 @@
-"""What is added up over pairs, as machine code: running values of reductions, of eight asking agents or of one in eight parts.
+"""Accumulators of reductions over pairs, as machine code: for eight requesting agents, or for one agent in eight parts.
 
-Terms of sums are multiples of one quantum and add without rounding, so their order does not count (`numerics.exact_sums`)."""
+Terms of sums are multiples of one quantum and add without rounding, so their order does not matter (`numerics.exact_sums`)."""
 
 from __future__ import annotations
 
@@ -75,7 +75,7 @@ class Sum:
         self.e.put(self._parts[part][0], value)
 
     def _rounded(self, body: Lanes) -> Lanes:
-        """A term as a multiple of the quantum, as `exact_sums.rounded` gives it."""
+        """Return a term rounded to a multiple of the quantum, as `exact_sums.rounded` does."""
         quantum = int(self.node.attrs[0])
         bound, magic = float(np.ldexp(1.0, quantum + exact_sums.BOUND)), float(np.ldexp(1.5, quantum + 52))
         if float(np.float32(bound)) == bound:  # cut before it is widened, which is the same
@@ -106,7 +106,7 @@ class Sum:
         return label if self.node.op == "reduce.agent" else e.convert(label, I32)
 
     def fold(self) -> None:
-        """Put what the eight parts hold together, into each of them."""
+        """Combine the eight parts and store the result in each."""
         for half in (4, 2, 1):
             self._fold([self.e.turned(self._at(k), half) for k in range(len(self._parts))])
 

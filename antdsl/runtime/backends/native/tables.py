@@ -1,9 +1,9 @@
-"""Fills the table of addresses and the numbers of a block: where in the world each array lies that its machine code names.
+"""Fills a block's tables of addresses and numbers: where each array of the world that its machine code names is in memory.
 
-Code reads eight rows at once, so every array that it is given goes on for eight rows behind the last one (`rooms`). Tables are
-kept from step to step, and what they hold is put down again only where it may have changed: addresses of arrays that the world
-has by name once one of these is another array, copies in each step, numbers where they are others. Nothing has to be told of
-births, of rows in another order or of a reload: each of them makes other arrays."""
+Machine code reads eight rows at once, so every array has padding of eight rows after the last one (`rooms`). Tables are reused
+from step to step, and only entries that may have changed are written again. These are addresses of named arrays after one is
+replaced, copies in each step, and numbers that differ. Births, reordered rows and reloads need no notice: each of them creates
+new arrays."""
 
 from __future__ import annotations
 
@@ -35,8 +35,8 @@ Words = NDArray[np.int64]
 
 
 class Held:
-    """Arrays that one thing of the world holds, which `of` finds. `get` gives them, or what is another object once they are; once
-    that is not what was `seen` last, `put` puts down the addresses of all, and may put arrays with room in their place."""
+    """Arrays of one object of the world, which `of` finds. `get` returns them, or another object that changes when they do. If
+    its result differs from `seen`, `put` writes the addresses of all; it may replace arrays by padded ones."""
 
     __slots__ = ("get", "of", "put", "seen")
 
@@ -48,7 +48,7 @@ class Held:
 
 
 class Tables:
-    """What one block of one species is run with: addresses and numbers that all threads read, and `lanes` for its parts."""
+    """The inputs of one block of one species: addresses and numbers that all threads read, and `lanes` for its parts."""
 
     def __init__(self, code: BlockCode, rooms: Rooms) -> None:
         self.code, self._rooms = code, rooms
@@ -79,7 +79,7 @@ class Tables:
         self._grids = [
             (int(str(key[1])), str(key[2]), place) for key, place in pointers if key[0] == "grid" and key[2] != "widest"
         ]
-        self._of: list[Any] = [None] * (1 + len(code.near))  # what is kept for the step and the grids, as they were last
+        self._of: list[Any] = [None] * (1 + len(code.near))  # the values stored for the step and the grids, as of the last fill
         groups: dict[Key, list[tuple[Key, int]]] = {}
         self._found: list[tuple[Find, int]] = []
         for key, place in pointers:
@@ -94,8 +94,8 @@ class Tables:
     def fill(
         self, world: World, population: Population, values: Mapping[ir.Node, Any], lasting: Any, kept: Any, grids: Any
     ) -> None:
-        """All but what a lane has of its own. `values` are those of the step, among them those of the run, which stay as long as
-        `lasting` is the same one; `grids`: a cell grid for each search."""
+        """Fill everything except what belongs to a single lane. `values`: those of the step, including those of the run, which
+        stay valid while `lasting` is the same object. `grids`: a cell grid for each search."""
         self._numbers(world, values, lasting)
         words, changed = self.pointers, False
         for held in self._held:
@@ -122,16 +122,16 @@ class Tables:
         self.version += changed
 
     def others(self, world: World) -> int:
-        """Agents of the largest species, where others are searched."""
+        """Return the number of agents of the largest species, if the block searches others; else 0."""
         return max([len(other) for other in world.populations.values()]) if self.code.near else 0
 
     def ready(self, parts: int, rows: int, others: int) -> list[Lane]:
-        """Lanes for so many parts of so many rows each, ready to run what the tables were filled for, with so many agents of a
-        species."""
+        """Return lanes for `parts` parts of `rows` rows each and `others` agents of a species, ready to run with the filled
+        tables."""
         return self.lanes.ready(parts, rows, others, self.pointers)
 
     def _numbers(self, world: World, values: Mapping[ir.Node, Any], lasting: Any) -> None:
-        """What has not become another number since is not put down again."""
+        """Write the numbers of the step. Lasting and unchanged ones are not written again."""
         if lasting is not self._filled:
             self._filled = lasting
             for node, place in self._lasting:
@@ -160,7 +160,7 @@ class Tables:
     # --- arrays that the world has by name: keys of one holder, and what looks at it ------------------------------------------
 
     def _holder(self, key: Key) -> Key | None:
-        """What holds the array of a key under its name, where that is so."""
+        """Return the key of the object that holds an array by name, or None."""
         match key[0]:
             case "start" | "now" | "cell":
                 return (key[0],)
@@ -227,7 +227,8 @@ class Tables:
         return lambda world, population: copy.of(population.footing.mesh, np.int64)
 
     def _event(self, key: Key) -> Find:
-        """Whom an event has reached, which is another array in each step; nobody of a species that does not handle it."""
+        """Return a function that finds the flags of agents that an event has reached, a new array in each step. A species that
+        does not handle the event has none set."""
         name = str(key[1])
         if name not in self.code.species.handles:
             copy = self._copy(key)
@@ -240,7 +241,7 @@ class Tables:
         return find
 
     def _in_order(self, key: Key) -> Find:
-        """Ids of another species in order, or their rows."""
+        """Return a function that finds the sorted ids of another species, or their rows."""
         copy, species, which = self._rooms.copy(*key), str(key[1]), key[2] != "sorted ids"
 
         def find(world: World, population: Population) -> int:
@@ -258,7 +259,7 @@ class Tables:
         return lambda world, population: copy.lasting(world.setting, lambda: clip_table(world, population, what))
 
     def _reached(self, key: Key) -> Find:
-        """Around which cells a field holds as much as a number."""
+        """Return a function that finds the cells near which a field is at least a number."""
         _, name, count, bound = key
         numbers, place = self._views[np.dtype(np.float32)], 2 * self.code.layout.number("node", bound)
         reached: Reached | None = None
@@ -284,8 +285,8 @@ def _several(getter: Callable[..., Callable[[Any], Any]], names: Names) -> Calla
 
 
 def _field(of: str, names: list[tuple[Key, int]]) -> Held:
-    """Of a field, whose arrays are others once its version is: all goes by the number of a cell, so that no room is needed behind
-    the last one."""
+    """Return the entries of a field, of which the arrays change with its version. They are indexed by cell, so they need no
+    padding."""
 
     def get(field: PheromoneField) -> tuple[Any, ...]:
         return field, field.version

@@ -1,9 +1,9 @@
-"""Sets of other departments: meshes, curves, points and cameras by prim path out of USD files, in mm and the scene's axes.
+"""USD sets of other departments: meshes, curves, points and cameras by prim path, in mm and the scene's axes.
 
-USD files are read in the reader's process (`antdsl.reader`): `closure` collects the files, `stage` requests, `answers` checks
-what comes back. The folder `child` runs there, with usd-core of the extra `[usd]`. No other code reads a USD file.
+The reader process (`antdsl.reader`) reads USD files: `closure` collects the files, `stage` requests, `answers` checks the
+results. The folder `child` runs there, with usd-core of the extra `[usd]`. No other code reads a USD file.
 
-Public names are loaded when they are first used: the reader's process needs `child` alone, a scene without USD none of them."""
+Public names are loaded on first use: the reader process needs only `child`, a scene without USD none of them."""
 
 from __future__ import annotations
 

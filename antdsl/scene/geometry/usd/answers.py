@@ -1,4 +1,4 @@
-"""What the reader finds in USD files as arrays of this process: each count, shape, type and index is checked before use."""
+"""Results of the reader for USD files as arrays of this process. Each count, shape, type and index is checked before use."""
 
 from __future__ import annotations
 
@@ -25,8 +25,8 @@ _TEXT = 256  # characters of a name in the file
 
 @dataclass(frozen=True, slots=True, eq=False)
 class UsdMesh:
-    """`raw` as of a mesh file, but in mm and the scene's axes. `moves`: None where it stands still. `values` by the name of a
-    primvar: float64 (n,) numbers, (n, 3) vectors that were turned with their mesh. `passed_over`: types of shapes not read."""
+    """`raw`: as of a mesh file, but in mm and the scene's axes. `moves`: None if the mesh is static. `values`, by the name of a
+    primvar: float64 (n,) numbers, or (n, 3) vectors rotated with their mesh. `passed_over`: types of shapes that are not read."""
 
     raw: RawMesh
     moves: MeshMoves | None
@@ -36,7 +36,7 @@ class UsdMesh:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class UsdCamera:
-    """Places in mm, one row a frame or a single one where nothing changes; `focal` in mm for a sensor 36 mm wide."""
+    """Positions in mm, one row per frame, or a single row for a static camera. `focal`: in mm for a sensor 36 mm wide."""
 
     at: Floats
     look_at: Floats
@@ -45,7 +45,8 @@ class UsdCamera:
 
 
 def read_usd_mesh(stage: UsdStage, primvars: Iterable[str] = ()) -> UsdMesh:
-    """All meshes at and below the stage's prim, joined. UsdError says why there are none, MeshError what is wrong with them."""
+    """Return all meshes at and below the stage's prim, joined. Raises UsdError if there are none, MeshError if they are not
+    usable."""
     names = tuple(primvars)
     answer = stage.ask("usd-mesh", {"primvars": names})
     try:
@@ -79,7 +80,7 @@ def _values(answer: Message, name: str, count: int) -> Floats:
 
 
 def checked(read: Callable[[UsdStage], T]) -> Callable[[UsdStage], T]:
-    """The function with a UsdError for an answer that makes no sense."""
+    """Wrap a function so that an invalid answer raises UsdError."""
 
     @wraps(read)
     def judged(stage: UsdStage) -> T:
@@ -92,8 +93,8 @@ def checked(read: Callable[[UsdStage], T]) -> Callable[[UsdStage], T]:
 
 
 def read_usd_points(stage: UsdStage, kind: str | None = None) -> UsdPoints:
-    """The points of all Points prims at or below the prim; where there are none, its children that have a place, one each. With a
-    `kind` all prims below it instead, however deep, whose `userProperties:kind` is that word."""
+    """Return the points of all Points prims at or below the prim; if there are none, one for each child that has a position. With
+    a `kind`, return all prims below it instead, at any depth, with `userProperties:kind` equal to that word."""
     answer = stage.ask("usd-points", {"of_kind": kind})
     try:
         places = answer.array("places", "f8", None, None, 3)
@@ -118,9 +119,9 @@ def read_usd_points(stage: UsdStage, kind: str | None = None) -> UsdPoints:
 
 @checked
 def read_usd_curve(stage: UsdStage) -> Floats:
-    """The points (frames, k, 3) of the one BasisCurves at or below the prim; a single frame where it stands still.
+    """Return the points (frames, k, 3) of the one BasisCurves at or below the prim; a single frame if it is static.
 
-    UsdError where there is none or more than one."""
+    Raises UsdError if there is none or more than one."""
     places = stage.ask("usd-curve").array("places", "f8", None, None, 3)
     if len(places) not in (1, len(stage.frames)) or not places.shape[1] >= 2 or not np.isfinite(places).all():
         raise ProtocolError("`places` has other frames, too few points, or one that is not finite")

@@ -45,9 +45,10 @@ Place = tuple[str, str]  # the full path of a file, and the layer inside of it w
 
 
 class Closure:
-    """The files of the USD file `text`: `path` is the copy of that file in the private `folder`, `hashes` are of all files by the
-    names that a scene would give them, `size` is their bytes. UsdError says why one cannot be read. The copies are removed with
-    this object."""
+    """The files of the USD file `text`. `path`: its copy in the private `folder`; `hashes`: of all files, by their names in a
+    scene; `size`: their total bytes.
+
+    Raises UsdError if one cannot be read. The copies are removed with this object."""
 
     def __init__(self, roots: Roots, text: str) -> None:
         self.text, self.size = text, 0
@@ -71,7 +72,7 @@ class Closure:
         return blake2b(repr(sorted(self.hashes.items())).encode(), digest_size=16).hexdigest()
 
     def _collect(self, text: str) -> str:
-        """Copy the file and all that it is made of; the path of its copy."""
+        """Copy the file and all files it consists of; return the path of its copy."""
         waiting = [self._add(text, None)]
         seen = set(waiting)
         while waiting:
@@ -94,7 +95,7 @@ class Closure:
         return os.path.join(self.folder, below)
 
     def _path(self, text: str, by: Place | None) -> str:
-        """The full path of a file by the name that a scene would give it, judged as text only."""
+        """Return the full path of a file by its name in a scene, checked as text only."""
         if not text.lower().endswith(KINDS):
             raise UsdError("bad-usd", f"`{_cut(text)}`{_naming(by)} is not one of {', '.join(KINDS)}", None, "usd")
         try:
@@ -103,7 +104,7 @@ class Closure:
             raise _refused(refused, by) from None
 
     def _add(self, text: str, by: Place | None) -> Place:
-        """Copy a file by the name that a scene would give it."""
+        """Copy a file by its name in a scene."""
         path = self._path(text, by)
         if path not in self._files:
             try:
@@ -137,7 +138,7 @@ class Closure:
             raise UsdError("bad-usd", words, "set TMPDIR to a folder with room", "usd") from None
 
     def _named(self, place: Place) -> Iterator[Place]:
-        """The files, or layers of the same package, that a layer names."""
+        """Yield the files, or layers of the same package, that a layer names."""
         path, inside = place
         copy, name = self._copy(path), f"{self._files[path]}{f'[{inside}]' if inside else ''}"
         document = {"path": f"{copy}[{inside}]" if inside else copy, "folder": self.folder, "text": name}
@@ -158,7 +159,7 @@ class Closure:
             raise UsdError("bad-usd", f"`{name}` cannot be read: {why}", "export it again", "usd") from None
 
     def _part(self, place: Place, asset: str) -> Place:
-        """A layer of a package that another one of it names."""
+        """Return a layer of a package that another layer of it names."""
         path, inside = place
         target = posixpath.normpath(posixpath.join(posixpath.dirname(inside), asset))
         parts = self._packages[path]
@@ -170,7 +171,7 @@ class Closure:
         return path, target
 
     def _file(self, place: Place, asset: str) -> Place:
-        """A file that a layer names, copied; UsdError for an address or a text that is evaluated when it is opened."""
+        """Copy a file that a layer names. Raises UsdError for an address, or for a text that is evaluated on opening."""
         named = f"`{_cut(asset)}`{_naming(place)}"
         if "`" in asset or ":SDF_FORMAT_ARGS:" in asset:
             raise UsdError("bad-path", f"{named} is an expression, not a file", "write the path out", "usd")
@@ -187,7 +188,7 @@ class Closure:
         return found[0], inner.removesuffix("]")
 
     def _found(self, path: str, asset: str, named: str) -> str:
-        """The name of the file that USD would find: beside the layer, else beside the first one."""
+        """Return the name of the file that USD would find: next to the layer, else next to the first one."""
         folders = [os.path.dirname(path)] + ([] if asset.startswith(".") else [os.path.dirname(self._top)])
         names = [self._name(os.path.normpath(os.path.join(folder, asset))) for folder in folders]
         inside = [name for name in names if name is not None]
@@ -196,7 +197,7 @@ class Closure:
         return next((name for name in inside if self._is_there(name)), inside[0])
 
     def _is_there(self, name: str) -> bool:
-        """Whether there is anything below a root; reading it says why it is not used."""
+        """Return whether anything exists there below a root. Reading it reports why it is not used."""
         try:
             return self._roots.exists(name) >= 0
         except PathRefused as refused:
@@ -208,7 +209,7 @@ class Closure:
         raise UsdError("bad-path", message, help, "usd")
 
     def _name(self, path: str) -> str | None:
-        """The name that a scene would give a file, None outside of all roots. The disk is not touched."""
+        """Return a file's name in a scene, None outside all roots. The disk is not accessed."""
         for name, folder in self._folders.items():
             if path.startswith(folder.rstrip(os.sep) + os.sep):
                 below = Path(path).relative_to(folder).as_posix()
@@ -224,7 +225,7 @@ def _refused(why: PathRefused, by: Place | None) -> UsdError:
 
 
 def _naming(place: Place | None) -> str:
-    """Which layer names a file, in words between the file's name and what is wrong with it."""
+    """Return which layer names a file, as words between the file's name and the problem."""
     return f", named by {_layer(place)}," if place else ""
 
 
@@ -242,8 +243,8 @@ class PackageError(Exception):
 
 
 def layers_of(data: bytes) -> dict[str, bytes]:
-    """The layers of a package by name, the first being the one that stands for the package. PackageError where the file is no
-    package, or has a member that a package must not have. Other members, such as textures, are left out."""
+    """Return the layers of a package by name; the first represents the package. Raises PackageError if the file is not a package,
+    or has a forbidden member. Other members, such as textures, are left out."""
     _check_end(data)
     try:
         with zipfile.ZipFile(io.BytesIO(data)) as archive:
@@ -253,7 +254,7 @@ def layers_of(data: bytes) -> dict[str, bytes]:
 
 
 def _check_end(data: bytes) -> None:
-    """Compare the number of members and the size of the directory with the limits before a member is looked at."""
+    """Compare the number of members and the size of the directory with the limits before any member is read."""
     place = data.rfind(b"PK\5\6", max(0, len(data) - _END.size - 0xFFFF))
     if place < 0 or place + _END.size > len(data):
         raise PackageError("is damaged, or no zip file")

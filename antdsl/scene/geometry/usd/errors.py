@@ -1,5 +1,5 @@
-"""Why something of a USD file cannot be used, and the one place that imports usd-core: in the reader's process to read, in any to
-write."""
+"""Why a part of a USD file cannot be used, and the only place that imports usd-core: in the reader process for reading, in any
+process for writing."""
 
 from __future__ import annotations
 
@@ -24,14 +24,14 @@ class UsdError(Refusal):
 
 
 def words_of(problem: Exception, folder: str) -> str:
-    """What USD's own exception says, less where in its sources it says so; `folder` as for `plain_words`."""
+    """Return the message of a USD exception without the location in USD's sources. `folder`: as for `plain_words`."""
     found = re.findall(r"in file \S+ : '(.*?)'\s*(?:\n|$)", str(problem), re.DOTALL)
     return plain_words(found[-1] if found else type(problem).__name__, folder)
 
 
 def plain_words(text: str, folder: str) -> str:
-    """Words of USD on one line of a message, the same in each run: layers have the names of the files, not of their copies in
-    `folder`, and no address in memory."""
+    """Return USD's words as one line of a message, the same in each run: with the names of files instead of their copies in
+    `folder`, and without memory addresses."""
     line = " ".join(text.replace(folder.rstrip(os.sep) + os.sep, "").split())
     line = _SESSION.sub("", line)
     line = _ADDRESS.sub("", line)
@@ -42,7 +42,7 @@ def plain_words(text: str, folder: str) -> str:
 
 @cache
 def pxr(module: str) -> Any:
-    """A module of usd-core, such as `UsdGeom`; UsdError when it is not installed."""
+    """Return a module of usd-core, such as `UsdGeom`. Raises UsdError if it is not installed."""
     from importlib import import_module
 
     try:
@@ -55,5 +55,5 @@ def pxr(module: str) -> Any:
 
 
 def missing_extra(why: str = "") -> UsdError:
-    """The error where usd-core is not installed; `why` it cannot be loaded where it is."""
+    """Return the error for a missing usd-core. `why`: the reason if it is installed but cannot be loaded."""
     return UsdError("missing-extra", f"USD files need the package usd-core{why}", 'install it: pip install "antdsl[usd]"', "usd")

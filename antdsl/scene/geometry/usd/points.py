@@ -1,4 +1,4 @@
-"""Points and empties of a USD stage, as the reader's process collects them and as the other process has them once checked."""
+"""Points and empties of a USD stage: as the reader process collects them, and as this process has them after the checks."""
 
 from __future__ import annotations
 
@@ -13,10 +13,11 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class UsdPoints:
-    """`places` (frames, n, 3) in mm, one frame where all stand still. `radius` (n,) in mm, nan where the file says nothing.
-    `values`: primvars and user properties with one number a point, by name, in the file's units, nan where a point has none;
-    `texts`: user properties that are words, "" where there is none. `ahead` (n, 3): where each one's own +x leads at the first
-    frame, nan for points, which face no way. `unit`: the file's unit of length in mm."""
+    """`places` (frames, n, 3) in mm, one frame if all are static. `radius` (n,) in mm, nan if the file has none.
+
+    `values`: primvars and user properties with one number per point, by name, in the file's units, nan if a point has none.
+    `texts`: user properties that are words, "" if there is none. `ahead` (n, 3): the direction of each one's own +x at the first
+    frame, nan for points, which have no direction. `unit`: the file's unit of length in mm."""
 
     names: tuple[str, ...]
     places: Floats

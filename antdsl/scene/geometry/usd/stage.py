@@ -1,4 +1,4 @@
-"""A USD file as it is requested from the reader: for one prim, at frames, in the scene's axes."""
+"""A USD file as requested from the reader: for one prim, at frames, in the scene's axes."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _FRAMES_A_SECOND = 8  # that a request may take in addition
 
 @dataclass(frozen=True, slots=True, eq=False)
 class UsdStage:
-    """What is at and below a prim of a file. `frames`: the first is the one at which everything is at rest."""
+    """What is at and below a prim of a file. `frames`: at the first, everything is at rest."""
 
     closure: Closure
     prim: str
@@ -38,8 +38,8 @@ class UsdStage:
         return self.closure.hashes
 
     def ask(self, kind: str, document: Mapping[str, Any] | None = None) -> Message:
-        """The reader's answer about this stage, which is not trusted. UsdError, MeshError for what is wrong with a mesh, or a
-        Refusal that is `about` something that the requester knows."""
+        """Return the reader's answer about this stage, which is not trusted. Raises UsdError, MeshError for an invalid mesh, or a
+        Refusal that is `about` something known to the caller."""
         said = {
             "path": self.closure.path,
             "folder": self.closure.folder,
@@ -93,11 +93,12 @@ def open_stage(
     purpose: str = "render",
     closures: dict[str, Closure | UsdError] | None = None,
 ) -> UsdStage:
-    """A file opened for what is at and below a prim path. `closures` stores files that were collected before, by name, or why
-    they cannot be.
+    """Open a file for what is at and below a prim path. `closures` stores collected files by name, or why they cannot be
+    collected.
 
-    Frame f is USD's time code f · timeCodesPerSecond / fps: equal where the rates are. UsdError when the file or anything it is
-    made of may not be opened, there is no such prim, or the system has no sandbox and the person does not trust USD files."""
+    Frame f is USD's time code f · timeCodesPerSecond / fps: equal if the rates are equal. Raises UsdError if the file or a file
+    it consists of may not be opened, or if there is no such prim. Also raises it if the system has no sandbox and the user does
+    not trust USD files."""
     _check_sandbox(text)
     stored = {} if closures is None else closures
     if text not in stored:
@@ -114,8 +115,8 @@ def open_stage(
 
 
 def _check_sandbox(text: str) -> None:
-    """UsdError without usd-core, and where nothing confines the process that would read USD and the person has not said that USD
-    files are trusted."""
+    """Raise UsdError without usd-core. Also raise it if nothing confines the process that would read USD, unless the user has
+    said that USD files are trusted."""
     if find_spec("pxr") is None:
         raise missing_extra()
     try:

@@ -25,9 +25,9 @@ _BASES = {
 
 
 def curve_places(stage: OpenStage) -> Floats:
-    """The points (frames, k, 3) of the one BasisCurves at or below the prim; a single frame where it stands still.
+    """Return the points (frames, k, 3) of the one BasisCurves at or below the prim; a single frame if it is static.
 
-    UsdError where there is none or more than one."""
+    Raises UsdError if there is none or more than one."""
     geom = pxr("UsdGeom")
     found = [prim for prim in stage.below(stage.prim) if prim.IsA(geom.BasisCurves)]
     path = stage.prim.GetPath()
@@ -79,7 +79,7 @@ def _polyline(curve: Any, time: Any, prim: Any) -> Floats:
 
 
 def _cubic(points: Floats, basis: str, wrap: str, prim: Any) -> Floats:
-    """Points along a cubic curve, each piece cut evenly in its parameter."""
+    """Return points along a cubic curve, each segment divided evenly in its parameter."""
     weights, divisor, step = _BASES[basis]
     if wrap == "periodic":
         points = np.concatenate([points, points[: 4 - step]])
@@ -100,5 +100,5 @@ def _cubic(points: Floats, basis: str, wrap: str, prim: Any) -> Floats:
 
 
 def _summed(terms: Iterable[NDArray[np.float64]]) -> NDArray[np.float64]:
-    """The sum of arrays from the first to the last, beginning with 0."""
+    """Sum arrays in order, starting with 0."""
     return reduce(np.add, terms, np.zeros(()))

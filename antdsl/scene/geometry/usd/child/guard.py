@@ -1,4 +1,4 @@
-"""USD's own exceptions as refusals, for all functions that answer requests about USD files."""
+"""Conversion of USD's own exceptions to refusals, for all functions that answer requests about USD files."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ Answer = tuple[dict[str, Any], Mapping[str, Any]]
 
 
 def guarded(read: Callable[[Message], Answer]) -> Callable[[Message], Answer]:
-    """The function with every problem of the file as a Refusal, whose `about` says what the message is about."""
+    """Return the function with every problem of the file raised as a Refusal; its `about` is the message's subject."""
 
     @wraps(read)
     def answer(request: Message) -> Answer:

@@ -1,4 +1,4 @@
-"""The meshes at and below a prim as one: triangles in mm and the scene's axes, how they move, and painted values on vertices."""
+"""The meshes at and below a prim as one: triangles in mm and the scene's axes, their motion, and painted values on vertices."""
 
 from __future__ import annotations
 
@@ -23,9 +23,10 @@ Faces = NDArray[np.int64]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class JoinedMesh:
-    """Vertices float64 (n, 3) in mm and the scene's axes and faces int64 (m, 3), as they are in the file. `moves`: the arrays of
-    a `MeshMoves` by name, None where the mesh is at rest. `values` by the name of a primvar: numbers (n,) or vectors (n, 3) that
-    were turned with their mesh. `passed_over`: types of shapes that are not read."""
+    """Vertices float64 (n, 3) in mm and the scene's axes, and faces int64 (m, 3), as in the file.
+
+    `moves`: the arrays of a `MeshMoves` by name, None if the mesh is static. `values`, by the name of a primvar: numbers (n,), or
+    vectors (n, 3) rotated with their mesh. `passed_over`: types of shapes that are not read."""
 
     vertices: Floats
     faces: Faces
@@ -47,7 +48,8 @@ class _Shape:
 
 
 def joined_mesh(stage: OpenStage, primvars: Iterable[str] = ()) -> JoinedMesh:
-    """All meshes at and below the stage's prim, joined. UsdError says why there are none, MeshError what is wrong with them."""
+    """Return all meshes at and below the stage's prim, joined. Raises UsdError if there are none, MeshError if they are not
+    usable."""
     path = stage.prim.GetPath()
     shapes, faces, points = [], 0, 0
     for placed in placed_meshes(stage):
@@ -70,7 +72,7 @@ def joined_mesh(stage: OpenStage, primvars: Iterable[str] = ()) -> JoinedMesh:
 
 
 def _shape(stage: OpenStage, placed: Placed) -> _Shape:
-    """The points and triangles of a mesh prim, holes and the other hand minded, subdivision not."""
+    """Return the points and triangles of a mesh prim. Holes and left-handed orientation are respected, subdivision is not."""
     prim, mesh = placed.prim, pxr("UsdGeom").Mesh(placed.prim)
     path = prim.GetPath()
     counts = np.array(mesh.GetFaceVertexCountsAttr().Get(stage.first) or [], np.int64)
@@ -106,7 +108,7 @@ def _same_faces(stage: OpenStage, attribute: Any, path: Any) -> None:
 def _triangles(
     points: Floats, counts: NDArray[np.int64], corners: NDArray[np.int64], whole: NDArray[np.bool_], backwards: bool, path: Any
 ) -> Faces:
-    """Triangles (m, 3) of those polygons that are `whole`; `backwards`: each is read the other way round from its first
+    """Return triangles (m, 3) of the polygons that are `whole`. With `backwards`, each is read in reverse order from its first
     corner."""
     at = np.arange(len(corners))
     if backwards:
@@ -122,7 +124,7 @@ def _triangles(
 
 
 def _joined(shapes: list[_Shape]) -> tuple[Floats, Faces]:
-    """Every shape at every place, at the first frame; a mirrored one keeps its outside outside."""
+    """Return every shape at every place, at the first frame. The outside of a mirrored one stays outside."""
     vertices, faces, before = [], [], 0
     for shape in shapes:
         ways, count = shape.placed.ways[:, 0], len(shape.points)
@@ -135,8 +137,8 @@ def _joined(shapes: list[_Shape]) -> tuple[Floats, Faces]:
 
 
 def _moves(stage: OpenStage, shapes: list[_Shape]) -> dict[str, NDArray[Any]] | None:
-    """The way of each place that moves as one track; where points move of themselves, or a place begins without a size, each
-    vertex for itself."""
+    """Return one track for each place that moves. Where points deform, or a place begins without a size, each vertex moves
+    separately."""
     frames = len(stage.times)
     if not any(shape.bent or shape.placed.ways.shape[1] > 1 for shape in shapes):
         return None
@@ -170,7 +172,7 @@ def _moves(stage: OpenStage, shapes: list[_Shape]) -> dict[str, NDArray[Any]] | 
 
 
 def _are_free(shape: _Shape) -> NDArray[np.bool_]:
-    """For each place of a shape whether its vertices move one by one."""
+    """Return for each place of a shape whether its vertices move separately."""
     ways = shape.placed.ways
     if shape.bent:
         return np.ones(len(ways), np.bool_)
@@ -178,7 +180,7 @@ def _are_free(shape: _Shape) -> NDArray[np.bool_]:
 
 
 def _offsets(stage: OpenStage, shape: _Shape, free: NDArray[np.bool_], k: int) -> Floats:
-    """How far the vertices of free places are at a frame from where they are at rest."""
+    """Return the offsets of the vertices of free places at a frame from their rest positions."""
     points = _points(pxr("UsdGeom").Mesh(shape.placed.prim), stage.times[k]) if shape.bent else shape.points
     if len(points) != len(shape.points):
         path = shape.placed.prim.GetPath()
@@ -189,7 +191,8 @@ def _offsets(stage: OpenStage, shape: _Shape, free: NDArray[np.bool_], k: int) -
 
 
 def _values(stage: OpenStage, shape: _Shape, name: str) -> Floats:
-    """A primvar on the points of a shape, at each of its places; vectors turn with the mesh and keep their length."""
+    """Return a primvar on the points of a shape, at each of its places. Vectors turn with the mesh but do not change their
+    length."""
     prim = shape.placed.prim
     primvar = pxr("UsdGeom").PrimvarsAPI(prim).FindPrimvarWithInheritance(name)
     if not primvar or not primvar.HasValue():
@@ -217,7 +220,7 @@ def _turned(ways: Floats, vectors: Floats) -> Floats:
 
 
 def _hidden(stage: OpenStage) -> str | None:
-    """What to say where all meshes are of another purpose, or not seen."""
+    """Return the message for the case that all meshes have another purpose or are invisible."""
     usd, geom = pxr("Usd"), pxr("UsdGeom")
     every = [p for p in usd.PrimRange(stage.prim, usd.TraverseInstanceProxies()) if p.IsA(geom.Mesh)]
     if not every:

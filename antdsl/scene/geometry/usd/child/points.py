@@ -1,4 +1,4 @@
-"""Points prims and empties as items: where each is at every frame, which way it faces, its radius, numbers and words."""
+"""Points prims and empties as items: their position at every frame, direction, radius, numbers and words."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ _KINDS_TOLD = 12
 
 
 def point_arrays(stage: OpenStage, kind: str | None = None) -> UsdPoints:
-    """The points of all Points prims at or below the prim; where there are none, its children that have a place, one each. With a
-    `kind` all prims below it instead, however deep, whose `userProperties:kind` is that word."""
+    """Return the points of all Points prims at or below the prim; if there are none, one for each child that has a position. With
+    a `kind`, return all prims below it instead, at any depth, with `userProperties:kind` equal to that word."""
     geom = pxr("UsdGeom")
     clouds = [prim for prim in stage.below(stage.prim) if prim.IsA(geom.Points)] if kind is None else []
     empties = [] if clouds else _children(stage) if kind is None else _of_kind(stage, kind)
@@ -84,7 +84,7 @@ def _cloud(stage: OpenStage, prim: Any) -> UsdPoints:
 
 
 def _names(prim: Any, count: int) -> list[str]:
-    """The primvar `name` where it has a word a point, else the prim's name with a number."""
+    """Return the primvar `name` if it has one word per point, else the prim's name with a number."""
     primvar = pxr("UsdGeom").PrimvarsAPI(prim).GetPrimvar("name")
     words = list(primvar.ComputeFlattened() or []) if primvar and primvar.HasValue() else []
     if len(words) == count and len(set(words)) == count:
@@ -111,7 +111,7 @@ def _children(stage: OpenStage) -> list[Any]:
 
 
 def _of_kind(stage: OpenStage, kind: str) -> list[Any]:
-    """The prims below that say they are of a kind; UsdError with the kinds that there are where none is of it."""
+    """Return the prims below that declare a kind. If none has it, raise UsdError that lists the existing kinds."""
     found: list[Any] = []
     others: set[str] = set()
     for prim in stage.below(stage.prim):
@@ -134,7 +134,7 @@ def _of_kind(stage: OpenStage, kind: str) -> list[Any]:
 
 
 def _empty(stage: OpenStage, prim: Any) -> UsdPoints:
-    """A prim that is nothing but a place: an Xform, a locator, an empty of Blender."""
+    """Return a prim that is only a place: an Xform, a locator, an empty of Blender."""
     ways = stage.matrices(prim, stage.travels(prim))
     values = _numbers(stage, prim, 1)
     texts: dict[str, tuple[str, ...]] = {}

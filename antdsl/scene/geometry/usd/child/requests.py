@@ -33,7 +33,7 @@ def open_stage(request: Message) -> Answer:
 
 @guarded
 def read_mesh(request: Message) -> Answer:
-    """`vertices`, `faces`, `moves:…` where the mesh moves, `value:N` for the Nth of `primvars`; `passed_over`."""
+    """Answer with `vertices`, `faces`, `moves:…` if the mesh moves, `value:N` for the Nth of `primvars`, and `passed_over`."""
     names = [str(name) for name in request.document["primvars"]]
     found = joined_mesh(stages.open_stage(request), names)
     moves = {f"moves:{name}": array for name, array in (found.moves or {}).items()}
@@ -43,7 +43,7 @@ def read_mesh(request: Message) -> Answer:
 
 @guarded
 def read_points(request: Message) -> Answer:
-    """`names`, `places`, `radius`, `ahead`; `value:N` and `text:N` for the Nth of `values` and `texts`; `unit`."""
+    """Answer with `names`, `places`, `radius`, `ahead`; `value:N` and `text:N` for the Nth of `values` and `texts`; `unit`."""
     found = point_arrays(stages.open_stage(request), request.document["of_kind"])
     arrays = {"places": found.places, "radius": found.radius, "ahead": found.ahead}
     arrays |= {f"value:{number}": array for number, array in enumerate(found.values.values())}

@@ -1,4 +1,4 @@
-"""Mesh prims of a stage with every place where they stand: by themselves, as native instances, or by point instancers."""
+"""Mesh prims of a stage with every place where they appear: directly, as native instances, or by point instancers."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _NESTED = 8  # point instancers inside each other
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Placed:
-    """A mesh prim, and its ways into the scene: matrices (places, frames, 3, 4), one frame where none of them moves."""
+    """A mesh prim, and its transforms into the scene: matrices (places, frames, 3, 4), one frame if none of them moves."""
 
     prim: Any
     ways: Floats
@@ -28,14 +28,15 @@ class Placed:
 
 @dataclass(slots=True)
 class Count:
-    """How many places point instancers set out below `path`, nested ones multiplied: counted before the places are made."""
+    """The number of places that point instancers create below `path`, with nested ones multiplied. They are counted before the
+    places are built."""
 
     path: str
     instances: int = 0
     meshes: int = 0
 
     def instance(self, more: int) -> None:
-        """Add the instances of one instancer at all its own places; UsdError above the limit."""
+        """Add the instances of one instancer at all its own places. Raises UsdError above the limit."""
         self.instances += more
         self._check(self.instances, "instances")
 
@@ -51,7 +52,7 @@ class Count:
 
 
 def placed_meshes(stage: OpenStage) -> Iterator[Placed]:
-    """Every mesh at or below the stage's prim, in the order of the file."""
+    """Yield every mesh at or below the stage's prim, in the order of the file."""
     count = Count(str(stage.prim.GetPath()))
     for prim in stage.below(stage.prim):
         if prim.IsA(pxr("UsdGeom").Mesh):
@@ -61,7 +62,7 @@ def placed_meshes(stage: OpenStage) -> Iterator[Placed]:
 
 
 def other_shapes(stage: OpenStage) -> list[str]:
-    """Types of the shapes at or below the prim that are no meshes and not read."""
+    """Return the types of the shapes at or below the prim that are not meshes and are not read."""
     geom = pxr("UsdGeom")
     read = (geom.Mesh, geom.PointInstancer, geom.Curves, geom.Points)
     found = {str(p.GetTypeName()) for p in stage.below(stage.prim) if p.IsA(geom.Gprim) and not any(p.IsA(k) for k in read)}
@@ -69,7 +70,7 @@ def other_shapes(stage: OpenStage) -> list[str]:
 
 
 def _instances(stage: OpenStage, prim: Any, ways: Floats, count: Count, depth: int) -> Iterator[Placed]:
-    """The meshes that a point instancer sets out; `ways` lead from the instancer's space to the scene."""
+    """Yield the meshes that a point instancer places. `ways` transform from the instancer's space to the scene."""
     if depth > _NESTED:
         raise UsdError("too-large", f"`{prim.GetPath()}` has point instancers more than {_NESTED} deep in each other")
     instancer = pxr("UsdGeom").PointInstancer(prim)
@@ -96,7 +97,7 @@ def _instances(stage: OpenStage, prim: Any, ways: Floats, count: Count, depth: i
 
 
 def _together(outer: Floats, inner: Floats) -> Floats:
-    """Every outer way after every inner one: (a, f, 3, 4) and (b, g, 3, 4) to (a·b, max(f, g), 3, 4)."""
+    """Apply every outer transform after every inner one: (a, f, 3, 4) and (b, g, 3, 4) to (a·b, max(f, g), 3, 4)."""
     check_bytes(len(outer) * len(inner) * max(outer.shape[1], inner.shape[1]) * 96, "instances")
     made = after(outer[:, None], inner[None])
     return made.reshape(-1, *made.shape[2:])
@@ -108,7 +109,7 @@ def _unmasked(stage: OpenStage, instancer: Any, count: int) -> NDArray[np.bool_]
 
 
 def _transforms(stage: OpenStage, instancer: Any, count: int) -> Floats:
-    """Each instance's way into the instancer's space, the prototype's own way included: (instances, frames, 3, 4)."""
+    """Return each instance's transform into the instancer's space, including the prototype's own: (instances, frames, 3, 4)."""
     usd, path = pxr("Usd"), instancer.GetPath()
     attributes = (instancer.GetPositionsAttr(), instancer.GetOrientationsAttr(), instancer.GetScalesAttr())
     roots = [instancer.GetPrim().GetStage().GetPrimAtPath(p) for p in instancer.GetPrototypesRel().GetForwardedTargets()]
@@ -137,9 +138,10 @@ BAKE = "write it out with one set of faces for all frames, or name a part that k
 
 
 def _prototype(stage: OpenStage, root: Any) -> Iterator[tuple[Any, Floats]]:
-    """Meshes and instancers of a prototype with their way (frames, 3, 4) into its root's space, the root's own not included."""
+    """Yield meshes and instancers of a prototype with their transform (frames, 3, 4) into its root's space, without the root's
+    own."""
     usd, geom = pxr("Usd"), pxr("UsdGeom")
-    # what stands below an `over` or a `class` to keep it from being drawn by itself is a prototype all the same
+    # below an `over` or a `class`, which keeps it from being drawn separately, it is still a prototype
     walk = iter(usd.PrimRange(root, usd.TraverseInstanceProxies(usd.PrimIsActive & usd.PrimIsLoaded)))
     for prim in walk:
         image = geom.Imageable(prim)
@@ -168,7 +170,7 @@ def _relative(stage: OpenStage, prim: Any, root: Any) -> Floats:
 
 
 def check_bytes(size: int, what: str) -> None:
-    """UsdError where what moves would take more memory than it may; else the process may take so much."""
+    """Raise UsdError if moving things would take more memory than the limit; else allow the process that much."""
     if size > limits.MOVES_BYTES:
         words = f"the frames of {what} would take {size / limits.GIB:.1f} GiB, more than {limits.MOVES_BYTES / limits.GIB:.0f}"
         raise UsdError("too-large", words, "simulate fewer frames at a time, or name a lighter part")

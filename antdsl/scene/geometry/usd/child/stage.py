@@ -27,8 +27,8 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class OpenStage:
-    """`prim` is the requested one. `to_scene` (3, 4) takes the stage's places to mm and the scene's axes. `times` are the time
-    codes of the requested frames, the first being the one at which everything is at rest."""
+    """`prim`: the requested one. `to_scene` (3, 4): from the stage's positions to mm and the scene's axes. `times`: the time
+    codes of the requested frames; at the first, everything is at rest."""
 
     prim: Any
     to_scene: Floats
@@ -41,14 +41,15 @@ class OpenStage:
         return pxr("Usd").TimeCode(self.times[0])
 
     def shown(self, prim: Any) -> bool:
-        """Whether a prim is of the purpose asked for and visible at the first frame."""
+        """Return whether a prim has the requested purpose and is visible at the first frame."""
         image = pxr("UsdGeom").Imageable(prim)
         if not image:
             return True
         return image.ComputePurpose() in ("default", self.purpose) and image.ComputeVisibility(self.first) != "invisible"
 
     def below(self, prim: Any) -> Iterator[Any]:
-        """The prim and those below it that are seen, instances looked into, the prototypes of point instancers left out."""
+        """Yield the prim and its visible descendants, including those in instances, without the prototypes of point
+        instancers."""
         usd, geom = pxr("Usd"), pxr("UsdGeom")
         walk = iter(usd.PrimRange(prim, usd.TraverseInstanceProxies()))
         for found in walk:
@@ -61,7 +62,8 @@ class OpenStage:
             yield found
 
     def matrices(self, prim: Any, every: bool) -> Floats:
-        """The way from a prim's own space to the scene (frames, 3, 4), at all frames, or only the first when `every` is False."""
+        """Return the transform from a prim's own space to the scene (frames, 3, 4), at all frames, or only at the first if
+        `every` is False."""
         cache = pxr("UsdGeom").XformCache()
         found = []
         for time in self.times if every else self.times[:1]:
@@ -84,7 +86,7 @@ class OpenStage:
 
 
 def column_matrix(matrix: Any) -> Floats:
-    """USD's matrix for rows of coordinates as (3, 4) for columns."""
+    """Return USD's matrix, which is for row vectors, as (3, 4) for column vectors."""
     rows = np.array(matrix, np.float64)
     return np.ascontiguousarray(rows[:, :3].T)
 
@@ -93,11 +95,11 @@ _last: tuple[tuple[object, ...], OpenStage] | None = None  # requests about one 
 
 
 def open_stage(request: Message) -> OpenStage:
-    """The stage of the top file `path`, below the folder `folder`, for what is at and below `prim`; `text` is the file's name in
-    messages.
+    """Open the stage of the top file `path`, below the folder `folder`, for what is at and below `prim`. `text`: the file's name
+    in messages.
 
-    Frame f is USD's time code f · timeCodesPerSecond / fps: equal where the rates are. UsdError when the stage uses a file
-    outside of the folder, has more in it than is read, or has no such prim."""
+    Frame f is USD's time code f · timeCodesPerSecond / fps: equal if the rates are equal. Raises UsdError if the stage uses a
+    file outside the folder, exceeds the limits, or has no such prim."""
     global _last
     said, frames = request.document, request.array("frames", "<i8", None)
     path, folder, text, prim, up, purpose = (str(said[key]) for key in ("path", "folder", "text", "prim", "up", "purpose"))
@@ -162,7 +164,7 @@ def _to_scene(factor: float, own: str, up: str) -> Floats:
 
 
 def _no_such_prim(layer: Any, text: str, path: Any, inactive: bool) -> UsdError:
-    """With what is there instead: the children of the longest part of the path that exists."""
+    """Return an error that lists what exists instead: the children of the longest existing part of the path."""
     from antdsl.diagnostics.suggestion import nearest_name
 
     if inactive:
@@ -187,8 +189,9 @@ def _no_such_prim(layer: Any, text: str, path: Any, inactive: bool) -> UsdError:
 
 @guarded
 def read_layer(request: Message) -> Answer:
-    """The asset paths `assets` that the layer `path` is composed with, sublayers, references, payloads and those in variants
-    included, as they are in the file. `folder` is that of all files of the stage, `text` the layer's name in messages."""
+    """Return the asset paths `assets` that the layer `path` is composed with, as they are in the file. These include sublayers,
+    references, payloads and paths in variants. `folder`: the folder of all files of the stage; `text`: the layer's name in
+    messages."""
     said = request.document
     path, folder, text = (str(said[key]) for key in ("path", "folder", "text"))
     layer = opened_layer(path, folder, text)
@@ -208,7 +211,7 @@ def read_layer(request: Message) -> Answer:
 
 
 def opened_layer(path: str, folder: str, text: str) -> Any:
-    """A layer below a folder; UsdError where USD cannot read it. Those of another folder are closed."""
+    """Return a layer below a folder, and close those of other folders. Raises UsdError if USD cannot read it."""
     global _folder
     if folder != _folder:
         _layers.clear()
