@@ -123,9 +123,9 @@ def install(packages: list[str]) -> None:
 def ensure_environment(folder: Path, requirements: list[str]) -> Path:
     """Create the virtual environment, again only if pyproject.toml changed; return the path of its Python."""
     python = folder / ("Scripts/python.exe" if os.name == "nt" else "bin/python")
-    wanted = hashlib.sha256((ROOT / "pyproject.toml").read_bytes() + repr(requirements).encode()).hexdigest()
+    fingerprint = hashlib.sha256((ROOT / "pyproject.toml").read_bytes() + repr(requirements).encode()).hexdigest()
     stamp = folder / "antdsl-installed"
-    if python.exists() and stamp.exists() and stamp.read_text() == wanted:
+    if python.exists() and stamp.exists() and stamp.read_text() == fingerprint:
         return python
     print(f"setting up {folder} (Python packages, about 1 GB with Open3D; some minutes the first time)", flush=True)
     stamp.unlink(missing_ok=True)
@@ -140,7 +140,7 @@ def ensure_environment(folder: Path, requirements: list[str]) -> Path:
     subprocess.run([str(python), "-m", "compileall", "-q", str(ROOT / "antdsl")], check=False)
     # Installing has compiled the kernels with the LLVM of the build environment: nothing is left to do if it is the same here.
     subprocess.run([str(python), "-P", "-m", "antdsl.machine_code.build_objects", "--host"], check=False)
-    stamp.write_text(wanted)
+    stamp.write_text(fingerprint)
     return python
 
 

@@ -61,11 +61,11 @@ def open_regular(path: Name, *, follow: bool = True, folder: int | None = None) 
     return handle
 
 
-def _demand_regular(about: os.stat_result) -> None:
-    if stat.S_ISLNK(about.st_mode):
+def _demand_regular(status: os.stat_result) -> None:
+    if stat.S_ISLNK(status.st_mode):
         raise OSError(errno.ELOOP, "it is a link")
-    if not stat.S_ISREG(about.st_mode):
-        raise NotRegular("a folder" if stat.S_ISDIR(about.st_mode) else "not a regular file")
+    if not stat.S_ISREG(status.st_mode):
+        raise NotRegular("a folder" if stat.S_ISDIR(status.st_mode) else "not a regular file")
 
 
 def size_of(handle: int, cap: int) -> int:

@@ -207,15 +207,15 @@ def _begin(
 def _work(
     pipe: int, groups: Sequence[list[Path]], claims: int, choices: Choices, strict: bool, parsed: CheckedOnce, cpu_seconds: float
 ) -> None:
-    found = Checked(cpu_seconds=cpu_seconds)
-    _take(groups, claims, choices, strict, parsed, found)
-    write_parts(pipe, [encode_reports(found.reports, sources((), parsed))])  # scenes are read once, by the parent
+    results = Checked(cpu_seconds=cpu_seconds)
+    _take(groups, claims, choices, strict, parsed, results)
+    write_parts(pipe, [encode_reports(results.reports, sources((), parsed))])  # scenes are read once, by the parent
 
 
 def _end(process: int, pipe: int) -> Checked:
     """Return the result of a child; empty if it ended before or during its answer."""
-    found = Checked()
+    results = Checked()
     with os.fdopen(pipe, "rb") as file, suppress(ValueError):
-        found.reports, found.sources = decode_reports(file.read())
+        results.reports, results.sources = decode_reports(file.read())
     os.waitpid(process, 0)
-    return found
+    return results

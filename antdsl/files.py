@@ -10,7 +10,7 @@ from pathlib import Path
 from antdsl import limits
 from antdsl.bounded import read_start
 from antdsl.diagnostics import Report
-from antdsl.loading import Parsed, shown
+from antdsl.loading import Parsed, display_path
 from antdsl.scene.document import decode
 from antdsl.scene.paths import PathRefused, read_named
 from antdsl.source import Source
@@ -21,22 +21,24 @@ SKIPPED_FOLDERS = frozenset(["node_modules", "__pycache__", "out", "build", "dis
 def find_files(paths: Iterable[Path]) -> tuple[list[Path], Report]:
     """Return the programs and scenes that paths select: files themselves, matches of patterns such as `shots/**/*.ant`, and files
     in folders. Folders are searched without following links; hidden ones are left out."""
-    found: dict[Path, None] = {}
+    matches: dict[Path, None] = {}
     report = Report()
     for path in _matched(paths, report):
         if not path.is_dir():
             if path.suffix in (".ant", ".yaml", ".yml"):
-                found[path] = None
+                matches[path] = None
             else:
-                report.error("no-such-file", f"`{shown(path)}` is neither a program (.ant), a scene (.yaml) nor a folder", None)
+                report.error(
+                    "no-such-file", f"`{display_path(path)}` is neither a program (.ant), a scene (.yaml) nor a folder", None
+                )
             continue
         for folder, inner, files in os.walk(path, followlinks=False):
             inner[:] = sorted(name for name in inner if not name.startswith(".") and name not in SKIPPED_FOLDERS)
             for name in sorted(files):
                 file = Path(folder, name)
                 if name.endswith(".ant") or (name.endswith((".yaml", ".yml")) and _is_scene(file)):
-                    found[file] = None
-    return list(found), report
+                    matches[file] = None
+    return list(matches), report
 
 
 def _matched(paths: Iterable[Path], report: Report) -> Iterator[Path]:
@@ -45,24 +47,24 @@ def _matched(paths: Iterable[Path], report: Report) -> Iterator[Path]:
         if path.exists() or not has_magic(str(path)):
             yield path
             continue
-        found = [Path(name) for name in sorted(glob(str(path), recursive=True))]
-        wanted = [each for each in found if each.is_dir() or each.suffix in (".ant", ".yaml", ".yml")]
-        if not wanted:
+        matches = [Path(name) for name in sorted(glob(str(path), recursive=True))]
+        readable_paths = [each for each in matches if each.is_dir() or each.suffix in (".ant", ".yaml", ".yml")]
+        if not readable_paths:
             report.error("no-such-file", f"`{path}` matches no program (.ant), no scene (.yaml) and no folder", None)
-        yield from wanted
+        yield from readable_paths
 
 
 def sources(files: Iterable[Path], parsed: Parsed) -> list[Source]:
     """Return the readable texts of checked files: programs as they were parsed, and scenes."""
-    found = [file.source for file, _ in parsed.values() if not file.source.path.startswith("<")]
+    texts = [file.source for file, _ in parsed.values() if not file.source.path.startswith("<")]
     for path in files:
         if path.suffix != ".ant":
             try:
                 source, report = decode(read_named(path, limits.SCENE_BYTES), str(path))
             except PathRefused:
                 continue
-            found += [source] if report.ok else []
-    return found
+            texts += [source] if report.ok else []
+    return texts
 
 
 def _is_scene(path: Path) -> bool:

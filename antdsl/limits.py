@@ -109,5 +109,5 @@ SWEEP_POINTS: Final = 20_000  # of one design of a sweep, each run with every se
 
 # tasks on other processes and machines
 ANSWER_BYTES: Final = 16 * MIB  # of JSON, of one task
-PARCEL_BYTES: Final = 1 * GIB  # of all files that travel with the tasks
+BUNDLE_BYTES: Final = 1 * GIB  # of all files that travel with the tasks
 MADE_BYTES: Final = 64 * GIB  # of the files that one task makes, where they are fetched

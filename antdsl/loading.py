@@ -83,7 +83,7 @@ class Loaded:
         path = self._locate(text, roots, span)
         if path is None:
             return None
-        file = self._parse(path, shown(path), span, (roots, text))
+        file = self._parse(path, display_path(path), span, (roots, text))
         if file is not None:
             self.files.append(file)
             self._uses(file, Roots(path.parent, roots.granted), 1, (path,))
@@ -109,16 +109,22 @@ class Loaded:
             return None
 
     def _parse(
-        self, path: Path, name: str, span: Span | None = None, door: tuple[Roots, str] | None = None, *, of_library: bool = False
+        self,
+        path: Path,
+        name: str,
+        span: Span | None = None,
+        origin: tuple[Roots, str] | None = None,
+        *,
+        of_library: bool = False,
     ) -> nodes.File | None:
-        """Return a parsed file, or None with the reason in the report. `door`: the roots that the file may lie in, and its path
+        """Return a parsed file, or None with the reason in the report. `origin`: the roots that the file may lie in, and its path
         there. None for a file of the library or one that the person named."""
         place = os.path.realpath(path)
         if place in self.parsed:
             file, report = self.parsed[place]
         else:
             try:
-                source, report = syntax.read(path, None if door is None else door[0].open(door[1]))
+                source, report = syntax.read(path, None if origin is None else origin[0].open(origin[1]))
             except PathRefused as refused:  # it has changed since it was looked for
                 self.report.error(refused.code, str(refused), span, refused.help)
                 return None
@@ -150,8 +156,10 @@ class Loaded:
             if path is None:
                 continue
             if path in chain:
-                way = " -> ".join(p.name for p in (*chain[chain.index(path) :], path))
-                self.report.error("use-cycle", f"files use each other in a circle: {way}", span, "remove one of the `use` lines")
+                cycle_text = " -> ".join(p.name for p in (*chain[chain.index(path) :], path))
+                self.report.error(
+                    "use-cycle", f"files use each other in a circle: {cycle_text}", span, "remove one of the `use` lines"
+                )
                 continue
             known = self.modules.get(text)
             if known is not None:
@@ -165,7 +173,7 @@ class Loaded:
                         labels=labels,
                     )
                 continue
-            module = self._parse(path, shown(path), span, (roots, text))
+            module = self._parse(path, display_path(path), span, (roots, text))
             if module is not None:
                 self.modules[text], self._module_paths[text] = module, path
                 self._uses(module, Roots(path.parent, roots.granted), depth + 1, (*chain, path))
@@ -176,7 +184,7 @@ def uses(file: nodes.File) -> tuple[nodes.Use, ...]:
     return tuple(item for item in file.items if isinstance(item, nodes.Use))
 
 
-def shown(path: Path) -> str:
+def display_path(path: Path) -> str:
     """Return a path for display: relative to the working directory if it is below it."""
     try:
         return str(path.relative_to(Path.cwd()))

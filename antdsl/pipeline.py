@@ -83,10 +83,10 @@ def _checked(loaded: Loaded, strict: bool, memo: Memo | None = None) -> tuple[Pr
         return None, report
     # files are the same objects as long as they are in `parsed`; names of modules are read from their texts
     key = (strict, *(id(file) for file in loaded.files), *((name, id(file)) for name, file in sorted(loaded.modules.items())))
-    kept = loaded.parsed.checked if isinstance(loaded.parsed, CheckedOnce) else {}
-    if key not in kept:
-        kept[key] = *check(loaded.files, loaded.library, loaded.modules, strict=strict, memo=memo), loaded.libraries()
-    program, findings, libraries = kept[key]
+    cache = loaded.parsed.checked if isinstance(loaded.parsed, CheckedOnce) else {}
+    if key not in cache:
+        cache[key] = *check(loaded.files, loaded.library, loaded.modules, strict=strict, memo=memo), loaded.libraries()
+    program, findings, libraries = cache[key]
     for name in libraries:  # a program's parts are reported with it, also if it was checked before
         loaded.library(name)
     report.extend(loaded.report)
@@ -112,11 +112,11 @@ def open_scene(
     scene, program, loaded, report = _read_scene(path, choices, parsed=parsed)
     if scene is None or program is None or not report.ok:
         return None, report
-    given = overrides(scene, program, choices.params, Report())
-    program = with_fields(program, scene, {**scene.model.set, **given})
+    param_overrides = overrides(scene, program, choices.params, Report())
+    program = with_fields(program, scene, {**scene.model.set, **param_overrides})
     program = with_changed_fields(program, choices.changes)
     orders = {name: order for name in scene.model.layers if (order := layer_order(scene, program, name)[0]) is not None}
-    setting, findings, meshes = stage(scene, program, given)
+    setting, findings, meshes = stage(scene, program, param_overrides)
     report.extend(findings)
     if setting is None or not report.ok:
         return None, report
@@ -132,8 +132,8 @@ def open_scene(
     inputs = {"antdsl": __version__, "scene": scene.digest(), **loaded.hashes(), **meshes, **bodies.hashes}
     inputs |= {f"--set {name}": text for name, text in choices.params.items()}
     inputs |= {f"set {change.name}": change.value.span.text for change in choices.changes}
-    made = lowered if raw else passes.optimise(lowered, thorough=thorough)
-    return Shot(scene, program, made, setting, inputs, loaded, bodies.definitions), report
+    final_plan = lowered if raw else passes.optimise(lowered, thorough=thorough)
+    return Shot(scene, program, final_plan, setting, inputs, loaded, bodies.definitions), report
 
 
 def _unseen(scene: Scene) -> frozenset[str]:
@@ -267,9 +267,9 @@ def _answered(report: Report, scene: Scene, program: Program, setting: Setting |
 
     These say that an attribute is constant, where the scene sets it for some agents at the start. Or they say that it is never
     read, where the scene writes it to the cache."""
-    given = setting.begun_with if setting is not None else {}
-    begun = [a.span for name, of in given.items() for a in program.species[name].attributes if a.name in of]
+    initial_attributes = setting.begun_with if setting is not None else {}
+    initial_spans = [a.span for name, of in initial_attributes.items() for a in program.species[name].attributes if a.name in of]
     output = scene.model.output.attributes
     written = [a.span for species in program.species.values() for a in species.attributes if a.name in output]
-    spans = {"constant-attribute": begun, "unread-attribute": written}
+    spans = {"constant-attribute": initial_spans, "unread-attribute": written}
     return [d for d in report.diagnostics if d.span in spans.get(d.code, ())]

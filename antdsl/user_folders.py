@@ -86,12 +86,12 @@ def _local_app_data() -> Path:
     import ctypes
     from uuid import UUID
 
-    found = ctypes.c_wchar_p()
+    folder_pointer = ctypes.c_wchar_p()
     name = (ctypes.c_char * 16).from_buffer_copy(UUID(_LOCAL_APP_DATA).bytes_le)
-    failed = ctypes.windll.shell32.SHGetKnownFolderPath(name, 0, None, ctypes.byref(found))
+    failed = ctypes.windll.shell32.SHGetKnownFolderPath(name, 0, None, ctypes.byref(folder_pointer))
     try:
-        if failed or not found.value:
+        if failed or not folder_pointer.value:
             raise FileNotFoundError(0, "Windows knows no folder for data of this user")
-        return Path(found.value)
+        return Path(folder_pointer.value)
     finally:
-        ctypes.windll.ole32.CoTaskMemFree(found)
+        ctypes.windll.ole32.CoTaskMemFree(folder_pointer)

@@ -29,7 +29,7 @@ _NEW = os.O_WRONLY | os.O_CREAT | os.O_EXCL | getattr(os, "O_NOFOLLOW", 0) | get
 _APPEND = os.O_WRONLY | os.O_APPEND | os.O_CREAT | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_BINARY", 0)
 
 
-def write_whole(path: Path, data: bytes | Parts, *, sync: bool = True, mode: int = 0o666) -> None:
+def write_atomically(path: Path, data: bytes | Parts, *, sync: bool = True, mode: int = 0o666) -> None:
     """Write a file atomically. `data`: its bytes, or parts to be joined.
 
     A reader, even after a crash, sees the old file or all of the new one. An OSError names `path`; the old file then stays.
@@ -39,14 +39,14 @@ def write_whole(path: Path, data: bytes | Parts, *, sync: bool = True, mode: int
 
 
 @contextmanager
-def whole_file(path: Path, *, sync: bool = True) -> Iterator[IO[bytes]]:
+def atomic_file(path: Path, *, sync: bool = True) -> Iterator[IO[bytes]]:
     """As `write_whole`, with a binary file to write piece by piece."""
     with _opened(path, sync, 0o666) as handle, FileIO(handle, "wb", closefd=False) as raw, BufferedWriter(raw) as file:
         yield cast(IO[bytes], file)
 
 
 @contextmanager
-def whole(path: Path, ending: str = PART, *, sync: bool = True) -> Iterator[Path]:
+def atomic_path(path: Path, ending: str = PART, *, sync: bool = True) -> Iterator[Path]:
     """As `whole_file`, with a path, for libraries and programs that open files by name. `ending`: the suffix of the file being
     written, for programs that depend on it."""
     part = new_beside(path, ending)
@@ -97,8 +97,8 @@ def remove_stale(folder: str) -> None:
     _cleaned.add(key)
     with suppress(OSError), os.scandir(folder or ".") as entries:
         for entry in entries:
-            found = _STALE.fullmatch(entry.name) if entry.name.startswith(".") else None
-            if found is None or found[1] != _machine() or _is_running(int(found[2], 16)):
+            match = _STALE.fullmatch(entry.name) if entry.name.startswith(".") else None
+            if match is None or match[1] != _machine() or _is_running(int(match[2], 16)):
                 continue
             with suppress(OSError):
                 if entry.is_file(follow_symlinks=False) and entry.stat(follow_symlinks=False).st_uid == os.geteuid():
@@ -232,12 +232,12 @@ def write_parts(handle: int, parts: Parts) -> None:
     piece takes half the time of many small ones."""
     left = deque(parts)
     while left:
-        some = list(islice(left, _AT_ONCE))
-        done = os.writev(handle, some) if hasattr(os, "writev") else os.write(handle, some[0])
-        while left and done >= len(left[0]):
-            done -= len(left.popleft())
-        if done:
-            left[0] = left[0][done:]
+        batch = list(islice(left, _AT_ONCE))
+        written_count = os.writev(handle, batch) if hasattr(os, "writev") else os.write(handle, batch[0])
+        while left and written_count >= len(left[0]):
+            written_count -= len(left.popleft())
+        if written_count:
+            left[0] = left[0][written_count:]
 
 
 def sync_file(path: Path) -> None:

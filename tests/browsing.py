@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from playwright.sync_api import Browser
 
 # Where this says `required`, as CI does, tests that need a browser fail where none is found instead of being skipped.
-WANTED = "ANTDSL_BROWSER"
+BROWSER_VARIABLE = "ANTDSL_BROWSER"
 _FLAGS = (
     "--use-angle=swiftshader",
     "--enable-unsafe-swiftshader",
@@ -26,20 +26,21 @@ _FLAGS = (
 )
 
 
-def found() -> str | None:
+def find_browser() -> str | None:
     """The path of a Chromium, or None."""
     return next((path for name in BROWSERS if (path := shutil.which(name))), None)
 
 
 @contextmanager
-def chromium(*more: str) -> Iterator[Browser]:
-    """A browser, with `more` flags. The test that asks for it is skipped where there is none, or fails where one is required."""
-    path, lacking = found(), missing_packages(DRIVER_LIBRARIES)
+def chromium(*extra_flags: str) -> Iterator[Browser]:
+    """A browser, with `extra_flags` flags. The test that asks for it is skipped where there is none, or fails where one is
+    required."""
+    path, lacking = find_browser(), missing_packages(DRIVER_LIBRARIES)
     if path is None or lacking:
-        no = pytest.fail if os.environ.get(WANTED) == "required" else pytest.skip
+        no = pytest.fail if os.environ.get(BROWSER_VARIABLE) == "required" else pytest.skip
         no(f"this machine has no {' '.join(lacking) or 'Chromium'}")
     sync_api = pytest.importorskip("playwright.sync_api")
-    flags = [*_FLAGS, *more, *(["--no-sandbox"] if hasattr(os, "geteuid") and os.geteuid() == 0 else [])]
+    flags = [*_FLAGS, *extra_flags, *(["--no-sandbox"] if hasattr(os, "geteuid") and os.geteuid() == 0 else [])]
     with sync_api.sync_playwright() as driver:
         driver.selectors.set_test_id_attribute("data-test")
         browser = driver.chromium.launch(executable_path=path, args=flags)

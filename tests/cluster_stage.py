@@ -19,10 +19,10 @@ def certificates(folder: Path) -> Path:
     """A folder with an authority that signs itself, as Dask makes them."""
     from distributed import Security
 
-    found = Security.temporary().get_tls_config_for_role("client")
+    config = Security.temporary().get_tls_config_for_role("client")
     folder.mkdir()
     for name, key in (("ca.pem", "ca_file"), ("cert.pem", "cert"), ("key.pem", "key")):
-        (folder / name).write_text(str(found[key]))
+        (folder / name).write_text(str(config[key]))
     return folder
 
 
@@ -31,9 +31,9 @@ def _python_path() -> str:
     return os.pathsep.join(filter(None, (str(ROOT), os.environ.get("PYTHONPATH"))))
 
 
-def _environment(more: Mapping[str, str]) -> dict[str, str]:
+def _environment(variables: Mapping[str, str]) -> dict[str, str]:
     routes = {f"DASK_DISTRIBUTED__{who}__HTTP__ROUTES": "[]" for who in ("SCHEDULER", "WORKER", "NANNY")}
-    return {**os.environ, "PYTHONPATH": _python_path(), **routes, **more}
+    return {**os.environ, "PYTHONPATH": _python_path(), **routes, **variables}
 
 
 @dataclass

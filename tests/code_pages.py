@@ -84,7 +84,7 @@ def example(text: str) -> Example:
         else:
             if repeated and "…" in body:
                 body = body.replace("…", _many(repeated[1], int(repeated[2].replace(",", "")), "\n" if repeated[3] else ""))
-            body = _CHARACTER.sub(lambda found: chr(int(found[1], 16)), body)
+            body = _CHARACTER.sub(lambda match: chr(int(match[1], 16)), body)
             files[name or DEFAULT_NAMES[kind]] = body.encode(saved or "utf-8")
     folders = tuple(_FOLDER.findall(text))
     first = "scene.yaml" if "scene.yaml" in files else next((name for name in files if name.endswith(".ant")), "scene.yaml")
@@ -106,14 +106,14 @@ def laid_out(example: Example, folder: Path) -> Iterator[None]:
     for name, data in example.files.items():
         (folder / name).parent.mkdir(parents=True, exist_ok=True)
         (folder / name).write_bytes(data)
-    before, modules = Path.cwd(), dict(sys.modules)
+    previous_folder, modules = Path.cwd(), dict(sys.modules)
     os.chdir(folder)
     try:
         for name in example.hidden:
             _hide(name)
         yield
     finally:
-        os.chdir(before)
+        os.chdir(previous_folder)
         if example.hidden:
             sys.modules.update({name: modules[name] for name in modules if name.split(".")[0] in example.hidden})
             for name in example.hidden:
@@ -154,9 +154,9 @@ def _checked(words: tuple[str, ...]) -> str:
     choices = Choices({name: Path(folder) for name, folder in grants.items()})
     parsed: Parsed = {}
     report = check_path(Path(words[-1]), choices, strict=strict, parsed=parsed)[1]
-    found = judged(report, sources([Path(words[-1])], parsed), strict=strict).sorted()
-    report = Report([replace(one, severity="error") for one in found] if strict else found)
-    return render(report, "full") if found else ""
+    findings = judged(report, sources([Path(words[-1])], parsed), strict=strict).sorted()
+    report = Report([replace(one, severity="error") for one in findings] if strict else findings)
+    return render(report, "full") if findings else ""
 
 
 def _run(program: str) -> str:
@@ -173,10 +173,10 @@ def _printed(words: tuple[str, ...]) -> str:
     from antdsl.cli import app
     from antdsl.cli.exits import Stop
 
-    done = CliRunner().invoke(app, list(words))
-    if done.exception is not None and not isinstance(done.exception, (Stop, SystemExit)):
-        raise done.exception
-    return done.stderr or done.stdout
+    result = CliRunner().invoke(app, list(words))
+    if result.exception is not None and not isinstance(result.exception, (Stop, SystemExit)):
+        raise result.exception
+    return result.stderr or result.stdout
 
 
 def codes_in(text: str) -> set[str]:
@@ -224,13 +224,13 @@ An example is a file in a folder with the files of the smallest example, [exampl
 """
 
 
-def main(wanted: list[str]) -> None:
+def main(page_codes: list[str]) -> None:
     import tempfile
 
     from antdsl.diagnostics.codes import CODES
 
     with tempfile.TemporaryDirectory() as folder:
-        for code in wanted or CODES:
+        for code in page_codes or CODES:
             page = PAGES / f"{code}.md"
             if page.exists():
                 page.write_text(written(page, CODES[code], Path(folder, code)), encoding="utf-8")

@@ -23,21 +23,21 @@ def run(*words: str, cwd: Path, env: Mapping[str, str] | None = None) -> Complet
         stack.enter_context(patch.dict(os.environ, {"NO_COLOR": "1", **(env or {})}))
         stack.enter_context(patch.object(sys, "argv", ["antdsl", *words]))
         for number, file in zip((1, 2), files, strict=True):
-            stack.enter_context(_led(number, file))
+            stack.enter_context(_redirect(number, file))
         code = _run()
         stack.close()
         return CompletedProcess(["antdsl", *words], code, *(file.read_text(encoding="utf-8") for file in files))
 
 
 @contextmanager
-def _led(number: int, file: Path) -> Iterator[None]:
+def _redirect(number: int, file: Path) -> Iterator[None]:
     """Lead what is written to standard output or error into a file, whether Python or a library or a child writes it."""
     stream = "stdout" if number == 1 else "stderr"
-    kept = os.dup(number)
+    original = os.dup(number)
     try:
-        with file.open("w", encoding="utf-8") as led, patch.object(sys, stream, led):
-            os.dup2(led.fileno(), number)
+        with file.open("w", encoding="utf-8") as output, patch.object(sys, stream, output):
+            os.dup2(output.fileno(), number)
             yield
     finally:
-        os.dup2(kept, number)
-        os.close(kept)
+        os.dup2(original, number)
+        os.close(original)

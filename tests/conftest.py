@@ -62,7 +62,7 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     items.sort(key=lambda item: PLACE.get(item.path.stem, len(PLACE)))
 
 
-class Kept(dict[str, Any]):
+class SharedCache(dict[str, Any]):
     """What all `Built` of a process keep together, and what of it was asked for."""
 
     def __init__(self) -> None:
@@ -74,11 +74,11 @@ class Kept(dict[str, Any]):
         return super().__getitem__(key)
 
 
-KEPT = Kept()
+SHARED_CACHE = SharedCache()
 
 
 @pytest.fixture(scope="module", autouse=True)
-def _kept_meshes() -> Iterator[None]:
+def _shared_meshes() -> Iterator[None]:
     """What is made of meshes is made once a file or two, not once a world: most worlds stand on the same ground. How it is made
     is tested where it is made. A file whose tests simulate has imported what does before the first of them."""
     reuse = sys.modules.get("antdsl.runtime.binding.reuse")
@@ -89,11 +89,11 @@ def _kept_meshes() -> Iterator[None]:
 
     def begin(built: Built) -> None:
         plain(built)
-        built._kept = KEPT
+        built._kept = SHARED_CACHE
 
-    KEPT.asked.clear()
+    SHARED_CACHE.asked.clear()
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(reuse.Built, "__init__", begin)
         yield
-    for key in KEPT.keys() - KEPT.asked:
-        del KEPT[key]
+    for key in SHARED_CACHE.keys() - SHARED_CACHE.asked:
+        del SHARED_CACHE[key]

@@ -124,7 +124,7 @@ def _fresh(words: list[str], taken: dict[str, object], rng: random.Random) -> st
     return rng.choice(left) if left else None
 
 
-def _some(project: Project, rng: random.Random) -> Species:
+def _any_species(project: Project, rng: random.Random) -> Species:
     return rng.choice(list(project.species.values()))
 
 
@@ -133,7 +133,7 @@ def _rename(of: dict, old: str, new: str) -> dict:
 
 
 def rename_state(project: Project, rng: random.Random) -> None:
-    species = _some(project, rng)
+    species = _any_species(project, rng)
     old, new = rng.choice(list(species.states)), _fresh(WORDS, species.states, rng)
     if new:
         species.states = _rename(species.states, old, new)
@@ -141,15 +141,15 @@ def rename_state(project: Project, rng: random.Random) -> None:
 
 
 def remove_state(project: Project, rng: random.Random) -> None:
-    species = _some(project, rng)
-    gone = rng.choice(list(species.states))
+    species = _any_species(project, rng)
+    removed_state = rng.choice(list(species.states))
     if len(species.states) > 1:
-        del species.states[gone]
-        species.start = species.start if species.start != gone else next(iter(species.states))
+        del species.states[removed_state]
+        species.start = species.start if species.start != removed_state else next(iter(species.states))
 
 
 def add_state(project: Project, rng: random.Random) -> None:
-    species = _some(project, rng)
+    species = _any_species(project, rng)
     new = _fresh(WORDS, species.states, rng)
     if new and len(species.states) < 5:
         entries = [*species.states.items()]
@@ -158,45 +158,45 @@ def add_state(project: Project, rng: random.Random) -> None:
 
 
 def reorder_states(project: Project, rng: random.Random) -> None:
-    species = _some(project, rng)
+    species = _any_species(project, rng)
     entries = list(species.states.items())
     rng.shuffle(entries)
     species.states = dict(entries)
 
 
 def other_start(project: Project, rng: random.Random) -> None:
-    species = _some(project, rng)
+    species = _any_species(project, rng)
     species.start = rng.choice(list(species.states))
 
 
 def toggle_memory(project: Project, rng: random.Random) -> None:
-    species = _some(project, rng)
+    species = _any_species(project, rng)
     state = rng.choice(list(species.states))
     species.states[state] = not species.states[state]
 
 
 def add_attribute(project: Project, rng: random.Random) -> None:
-    species = _some(project, rng)
+    species = _any_species(project, rng)
     new = _fresh(NAMES, species.attributes, rng)
     if new:
         species.attributes[new] = Attribute(rng.choice(list(UNITS)), rng.randrange(9), rng.random() < 0.5)
 
 
 def remove_attribute(project: Project, rng: random.Random) -> None:
-    species = _some(project, rng)
+    species = _any_species(project, rng)
     if species.attributes:
         del species.attributes[rng.choice(list(species.attributes))]
 
 
 def rename_attribute(project: Project, rng: random.Random) -> None:
-    species = _some(project, rng)
+    species = _any_species(project, rng)
     new = _fresh(NAMES, species.attributes, rng)
     if species.attributes and new:
         species.attributes = _rename(species.attributes, rng.choice(list(species.attributes)), new)
 
 
 def other_attribute(project: Project, rng: random.Random) -> None:
-    species = _some(project, rng)
+    species = _any_species(project, rng)
     if species.attributes:
         attribute = rng.choice(list(species.attributes.values()))
         what = rng.choice(("kind", "value", "written"))
@@ -219,11 +219,11 @@ def add_or_remove_species(project: Project, rng: random.Random) -> None:
     if len(project.species) > 1 and (rng.random() < 0.5 or not new):
         del project.species[rng.choice(list(project.species))]
     elif new:
-        project.species[new] = deepcopy(_some(project, rng))
+        project.species[new] = deepcopy(_any_species(project, rng))
 
 
 def other_count(project: Project, rng: random.Random) -> None:
-    _some(project, rng).count = rng.choice((0, 5, 12, 30, 45))
+    _any_species(project, rng).count = rng.choice((0, 5, 12, 30, 45))
 
 
 def other_items(project: Project, rng: random.Random) -> None:
@@ -306,15 +306,15 @@ def survivors(old: Species, new: Species, ids: list[int]) -> list[int]:
     return sorted(ids)[: max(0, len(ids) - fewer)]
 
 
-def kept_state(new: Species, state: str) -> str:
+def state_or_start(new: Species, state: str) -> str:
     return state if state in new.states else new.start
 
 
-def kept_value(old: Species, new: Species, name: str, values: np.ndarray) -> np.ndarray:
+def value_after_edit(old: Species, new: Species, name: str, values: np.ndarray) -> np.ndarray:
     """What an attribute is after the edit, of those that stay."""
-    after, before = new.attributes[name], old.attributes.get(name)
-    fresh = np.full(len(values), after.value, np.float32)
-    if before is None or before.kind != after.kind:
+    new_attribute, old_attribute = new.attributes[name], old.attributes.get(name)
+    fresh = np.full(len(values), new_attribute.value, np.float32)
+    if old_attribute is None or old_attribute.kind != new_attribute.kind:
         return fresh
-    follows_the_text = not before.written and not after.written and before.value != after.value
+    follows_the_text = not old_attribute.written and not new_attribute.written and old_attribute.value != new_attribute.value
     return fresh if follows_the_text else values

@@ -60,7 +60,7 @@ from antdsl.explain import explain  # noqa: E402
 from antdsl.highlighting.lexer import AntLexer  # noqa: E402
 from antdsl.lsp.features.completion import complete  # noqa: E402
 from antdsl.lsp.features.tokens import keywords  # noqa: E402
-from antdsl.lsp.language import about  # noqa: E402
+from antdsl.lsp.language import explain_word  # noqa: E402
 from antdsl.lsp.workspace import Workspace  # noqa: E402
 from antdsl.plan.show import show  # noqa: E402
 from antdsl.program import check  # noqa: E402
@@ -124,12 +124,12 @@ def complaints(line: str) -> list[tuple[str, str, str]]:
     return [(d.code, d.message, d.help or "") for d in report.diagnostics]
 
 
-def proposals(before: str) -> list[str]:
+def proposals(typed_text: str) -> list[str]:
     """What an editor proposes behind a text at the beginning of the state's body."""
-    text = PROGRAM.replace("scratch ground(depth: claw, into: dust)", before)
+    text = PROGRAM.replace("scratch ground(depth: claw, into: dust)", typed_text)
     workspace = Workspace()
     document = workspace.put(FOLDER / "other.ant", text)
-    return [item.label for item in complete(workspace, document, text.index(before) + len(before))]
+    return [item.label for item in complete(workspace, document, text.index(typed_text) + len(typed_text))]
 
 
 def meanings() -> list[tuple[str, ...]]:
@@ -158,7 +158,7 @@ def main() -> None:
     cache = cached(scene, 8, FOLDER / "out")
     species = shot.program.species["ant"]
     loose = PROGRAM.replace("ground(3 mm, width: 4 mm", "ground( 3 mm ,width:4 mm")
-    told = {
+    labels = {
         "plan": show(shot.plan),
         "dust": dust,
         "did": [explain(cache, 0, frame).did for frame in (2, 5, 6)],
@@ -167,16 +167,17 @@ def main() -> None:
         | {"misplaced": complaints("die }\n  scratch ground(depth: 1 mm)\n  on collision(other) { die")},
         "formatted": format(Source("ant.ant", loose))[0] == PROGRAM,
         "proposals": {
-            before: proposals(before) for before in ("scr", "scratch ", "scratch ground(", "scratch ground(depth: 1 mm, into: ")
+            typed_text: proposals(typed_text)
+            for typed_text in ("scr", "scratch ", "scratch ground(", "scratch ground(depth: 1 mm, into: ")
         },
         "meanings": meanings(),
-        "about": about("scratch"),
+        "about": explain_word("scratch"),
         "keyword": "scratch" in keywords(),
         "colour": [
             str(kind) for _, kind, word in AntLexer().get_tokens_unprocessed("  scratch ground(depth: 1 mm)") if word == "scratch"
         ],
     }
-    print(json.dumps(told))
+    print(json.dumps(labels))
 
 
 if __name__ == "__main__":

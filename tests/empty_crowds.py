@@ -161,10 +161,10 @@ def calls(word: Builtin) -> Iterator[str]:
     """A word of a set with all that has to be given, with each thing that may, and with all of them."""
     may = [arg for arg in word.args if arg.optional or arg.default is not None]
     for chosen in [[], *([each] for each in may), may]:
-        yield f"{word.op}({', '.join(_given(arg) for arg in word.args if arg not in may or arg in chosen)})"
+        yield f"{word.op}({', '.join(_argument_text(arg) for arg in word.args if arg not in may or arg in chosen)})"
 
 
-def _given(arg: Arg) -> str:
+def _argument_text(arg: Arg) -> str:
     plain = not arg.optional and arg.type in ("species", "items", "set")
     return ARGUMENTS[arg.type] if plain else f"{arg.name}: {ARGUMENTS[arg.type]}"
 
@@ -188,15 +188,20 @@ def reduced(every: bool) -> tuple[tuple[str, str, str], ...]:
 @cache
 def samples() -> tuple[tuple[str, str], ...]:
     """Each sense as a value that is kept, or as a line; its word and its text. About agents, these are rabbits."""
-    found = [(word.op, word.sample) for how in ("call", "name") for word in senses.spoken(how) if word.sample]
-    found += [("field_max", "max(trail, nearest: 9)"), ("field_value", "trail"), ("flow_value", "drift"), ("map_value", "damp")]
-    found += [(op, call) for op, row in SET_SENSES.items() if op not in GIVES_SET for word in row.rows for call in calls(word)]
-    return tuple((op, written(op, text.replace("path", "way_in"))) for op, text in found)
+    op_texts = [(word.op, word.sample) for how in ("call", "name") for word in senses.find_words(how) if word.sample]
+    op_texts += [
+        ("field_max", "max(trail, nearest: 9)"),
+        ("field_value", "trail"),
+        ("flow_value", "drift"),
+        ("map_value", "damp"),
+    ]
+    op_texts += [(op, call) for op, row in SET_SENSES.items() if op not in GIVES_SET for word in row.rows for call in calls(word)]
+    return tuple((op, written(op, text.replace("path", "way_in"))) for op, text in op_texts)
 
 
 def words() -> set[str]:
     """All senses of the tables by their words; what has no sample has to be in `samples` by hand."""
-    every = {word.op for how in ("call", "name", "value") for word in senses.spoken(how)}
+    every = {word.op for how in ("call", "name", "value") for word in senses.find_words(how)}
     return every | {op for op in SET_SENSES if op not in GIVES_SET}
 
 
@@ -218,10 +223,10 @@ def plan(size: Size = "all") -> ir.Plan:
     senses and layers, whose machine code takes long to make."""
     every = size == "pairs"
     lines = [] if size == "sets" else [line for _, line in samples()]
-    kept = [f"r{number}" for number in range(len(reduced(every)))]
-    lines += [f"{name} = {text}" for name, (*_, text) in zip(kept, reduced(every), strict=True)]
+    names = [f"r{number}" for number in range(len(reduced(every)))]
+    lines += [f"{name} = {text}" for name, (*_, text) in zip(names, reduced(every), strict=True)]
     body = _TEXT.replace(_LAYERS, "state") if size == "sets" else _TEXT
-    text = body.format(endless=int(ENDLESS), attributes="; ".join(f"{name} = 5" for name in kept), lines="\n    ".join(lines))
+    text = body.format(endless=int(ENDLESS), attributes="; ".join(f"{name} = 5" for name in names), lines="\n    ".join(lines))
     return optimise(plan_of(text, WORLD))
 
 
@@ -230,7 +235,7 @@ KINDS = tuple(kind for kind in random_extremes.Extremes.KINDS if kind != "loose"
 
 def setting(who: str, life: Life, kind: str = "still", seed: int = 0) -> Setting:
     """A world with everything; `who` is there as `life` says, the others all the time, eggs with them."""
-    made = cast(random_extremes.Extremes, SimpleNamespace(kind=kind, seed=seed))
+    extremes = cast(random_extremes.Extremes, SimpleNamespace(kind=kind, seed=seed))
     lives = {name: life if who in (name, "both", "everybody") else Life("always", 3) for name in ("asker", "rabbit")}
     ends = who == "everybody" and life.again == ENDLESS
     crowds = (
@@ -241,7 +246,7 @@ def setting(who: str, life: Life, kind: str = "still", seed: int = 0) -> Setting
     params = {f"{name}.life": each.until for name, each in lives.items()}
     params |= {"egg.hatch": life.again, "egg.asks": float(lives["asker"] is life), "egg.runs": float(lives["rabbit"] is life)}
     params["egg.life"] = life.until if ends else ENDLESS
-    found = random_extremes.setting(made)
-    plain = {"damp": Painted("ground", np.abs(found.surfaces["ground"].vertices[:, 1]) / 8)}
+    base_setting = random_extremes.setting(extremes)
+    plain = {"damp": Painted("ground", np.abs(base_setting.surfaces["ground"].vertices[:, 1]) / 8)}
     start = {"trail": FieldStart(0.5, (0.0, 0.0, 0.0), 40.0)}
-    return replace(found, crowds=crowds, params=params, maps=plain, field_start=start)
+    return replace(base_setting, crowds=crowds, params=params, maps=plain, field_start=start)

@@ -21,12 +21,12 @@ class InThisProcess:
 
     def submit(self, executor: Executor, task: Task, place: int) -> Future[str]:
         self.tasks.append(task)
-        done: Future[Any] = Future()
+        future: Future[Any] = Future()
         try:
-            done.set_result(perform(task.work, json.dumps(task.document), self._worker))
+            future.set_result(perform(task.work, json.dumps(task.document), self._worker))
         except Exception as why:
-            done.set_exception(why)
-        return done
+            future.set_exception(why)
+        return future
 
     def frame(self, place: int) -> int | None:
         return None

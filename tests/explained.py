@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from antdsl.explain import CacheHistory, Explanation, Replay, accounts, open_shot
+from antdsl.explain import CacheHistory, Explanation, Replay, explain_agents, open_shot
 from antdsl.numerics import randomness
 from antdsl.outputs.cache.cache_reader import Cache, open_cache
 from antdsl.outputs.recording import begin, record
@@ -31,21 +31,21 @@ class Fact:
     pending: dict[str, int]
     states: dict[str, tuple[str, str]]
     push: tuple[Any, ...]
-    before: tuple[Any, ...]  # velocity
+    previous_velocity: tuple[Any, ...]  # velocity
     draws: dict[tuple[str, int], np.float32]
-    after: tuple[Any, ...] | None = None
+    next_velocity: tuple[Any, ...] | None = None
     hash: str = ""
 
 
-def shot_of(scene: Path, last: int, **more: Any) -> Shot:
-    shot, report = open_scene(scene, Choices(frames=FrameRange(1, last), **more))
+def shot_of(scene: Path, last: int, **choices: Any) -> Shot:
+    shot, report = open_scene(scene, Choices(frames=FrameRange(1, last), **choices))
     assert shot is not None, report.sorted()
     return shot
 
 
-def cached(scene: Path, last: int, folder: Path, **more: Any) -> Cache:
-    """A cache as `antdsl run` writes it; `more` are choices of who runs it."""
-    for _ in record(begin(shot_of(scene, last, **more), folder, Options(), resume=False, force=False)):
+def cached(scene: Path, last: int, folder: Path, **choices: Any) -> Cache:
+    """A cache as `antdsl run` writes it; `choices` are choices of who runs it."""
+    for _ in record(begin(shot_of(scene, last, **choices), folder, Options(), resume=False, force=False)):
         pass
     return open_cache(folder)
 
@@ -56,32 +56,32 @@ def facts(shot: Shot, pairs: int, monkeypatch: pytest.MonkeyPatch, seed: int) ->
     words = randomness.words
 
     def noted(seed: int, frame: int, species: str, site: str, block: int, ids: Any) -> Any:
-        found = words(seed, frame, species, site, block, ids)
-        drawn.append((species, site, block, np.array(ids), found))
-        return found
+        results = words(seed, frame, species, site, block, ids)
+        drawn.append((species, site, block, np.array(ids), results))
+        return results
 
     monkeypatch.setattr(randomness, "words", noted)
     world, picks = bind(shot.plan, shot.setting, Options()), random.Random(seed)
     steps = shot.frames.last - shot.frames.first
-    wanted = sorted(picks.choices(range(1, steps + 1), k=pairs))
-    found: list[Fact] = []
+    chosen_frames = sorted(picks.choices(range(1, steps + 1), k=pairs))
+    results: list[Fact] = []
     for number in range(1, steps + 1):
         drawn.clear()
-        here: list[Fact] = []
+        frame_facts: list[Fact] = []
         for name, phase in PHASES:
             if name == "effects":
-                for _ in range(wanted.count(number)):
-                    here.append(fact_of(world, picks, drawn))
+                for _ in range(chosen_frames.count(number)):
+                    frame_facts.append(fact_of(world, picks, drawn))
             phase(world)
-        value = state_hash(world) if here else ""
-        for fact in here:
+        value = state_hash(world) if frame_facts else ""
+        for fact in frame_facts:
             population = world.populations[fact.species]
             row = int(population.rows_of(np.array([fact.agent]))[0])
-            fact.after = None if row < 0 else tuple(population.now[f"velocity.{axis}"][row] for axis in "xyz")
+            fact.next_velocity = None if row < 0 else tuple(population.now[f"velocity.{axis}"][row] for axis in "xyz")
             fact.hash = value
-        found += here
+        results += frame_facts
     monkeypatch.undo()
-    return found
+    return results
 
 
 def fact_of(world: World, picks: random.Random, drawn: list[tuple[str, str, int, Any, Any]]) -> Fact:
@@ -109,20 +109,20 @@ def fact_of(world: World, picks: random.Random, drawn: list[tuple[str, str, int,
     )  # fmt: skip
 
 
-def explanations(cache: Cache, scene: Path, found: list[Fact]) -> Iterator[tuple[Fact, Explanation]]:
+def explanations(cache: Cache, scene: Path, run_facts: list[Fact]) -> Iterator[tuple[Fact, Explanation]]:
     replay = Replay(CacheHistory.of(cache, open_shot(cache, scene)))
-    for frame in sorted({fact.frame for fact in found}):
-        mine = [fact for fact in found if fact.frame == frame]
-        for fact, told in zip(mine, accounts(replay, frame, [(f.species, f.agent) for f in mine]), strict=True):
-            assert told is not None, fact
-            yield fact, told
+    for frame in sorted({fact.frame for fact in run_facts}):
+        mine = [fact for fact in run_facts if fact.frame == frame]
+        for fact, explanation in zip(mine, explain_agents(replay, frame, [(f.species, f.agent) for f in mine]), strict=True):
+            assert explanation is not None, fact
+            yield fact, explanation
 
 
-def differences(shot: Shot, fact: Fact, told: Explanation) -> list[str]:
+def differences(shot: Shot, fact: Fact, explanation: Explanation) -> list[str]:
     """In what an explanation differs from what happened."""
-    wrong = [] if told.hash == fact.hash else ["hash"]
+    wrong = [] if explanation.hash == fact.hash else ["hash"]
     program = shot.program.species[fact.species]
-    for machine, step in zip(program.machines, told.machines, strict=True):
+    for machine, step in zip(program.machines, explanation.machines, strict=True):
         transitions = [t for state in machine.states for t in state.transitions]
         number = fact.pending[machine.name]
         won = [looked for looked in step.looked if looked.wins]
@@ -138,21 +138,21 @@ def differences(shot: Shot, fact: Fact, told: Explanation) -> list[str]:
             " ".join(t.span.text.split()) for t in next(s for s in machine.states if s.name == step.before).transitions
         ]:
             wrong.append(f"{machine.name}: not all its transitions in their order")
-    if told.push != tuple(float(x) for x in fact.push):
-        wrong.append(f"push {fact.push}, not {told.push}")
+    if explanation.push != tuple(float(x) for x in fact.push):
+        wrong.append(f"push {fact.push}, not {explanation.push}")
     total = np.zeros(3, np.float32)
-    for layer in told.layers:
+    for layer in explanation.layers:
         total = total + np.array(layer.given, np.float32)
-    whole = told.mode != "sum" or np.linalg.norm(total) <= 1  # else the sum is cut to 1
-    if whole and tuple(float(x) for x in total) != told.push:
-        wrong.append(f"the layers give {total}, not {told.push}")
-    if told.velocity[0] != tuple(float(x) for x in fact.before):
+    is_complete = explanation.mode != "sum" or np.linalg.norm(total) <= 1  # else the sum is cut to 1
+    if is_complete and tuple(float(x) for x in total) != explanation.push:
+        wrong.append(f"the layers give {total}, not {explanation.push}")
+    if explanation.velocity[0] != tuple(float(x) for x in fact.previous_velocity):
         wrong.append("velocity before")
-    if fact.after is not None and told.velocity[1] != tuple(float(x) for x in fact.after):
+    if fact.next_velocity is not None and explanation.velocity[1] != tuple(float(x) for x in fact.next_velocity):
         wrong.append("velocity after")
-    for draw in told.draws:
+    for draw in explanation.draws:
         site, _, index = draw.site.partition("[")
-        kept = fact.draws.get((site, int(index.rstrip("]") or 0)))
-        if kept is None or float(kept) != draw.value:
-            wrong.append(f"draw {draw.site}: {kept}, not {draw.value}")
+        recorded_draw = fact.draws.get((site, int(index.rstrip("]") or 0)))
+        if recorded_draw is None or float(recorded_draw) != draw.value:
+            wrong.append(f"draw {draw.site}: {recorded_draw}, not {draw.value}")
     return wrong

@@ -37,9 +37,9 @@ class Notes:
         words = randomness.words
 
         def noted(seed: int, frame: int, species: str, site: str, block: int, ids: Any) -> Any:
-            found = words(seed, frame, species, site, block, ids)
-            self._drawn.append((species, site, block, np.array(ids), found))
-            return found
+            values = words(seed, frame, species, site, block, ids)
+            self._drawn.append((species, site, block, np.array(ids), values))
+            return values
 
         monkeypatch.setattr(randomness, "words", noted)
         at = [name for name, _ in phases.PHASES].index("effects")
@@ -60,17 +60,17 @@ class Notes:
             for fact in self._here:
                 population = self.session.world.populations[fact.species]
                 row = int(population.rows_of(np.array([fact.agent]))[0])
-                after = None if row < 0 else tuple(population.now[f"velocity.{axis}"][row] for axis in "xyz")
-                self.facts.append(replace(fact, after=after, hash=self.session.hash))
+                velocity = None if row < 0 else tuple(population.now[f"velocity.{axis}"][row] for axis in "xyz")
+                self.facts.append(replace(fact, after=velocity, hash=self.session.hash))
 
     def explained_otherwise(self, count: int) -> dict[tuple[str, int, int], list[str]]:
         """In what explanations of so many facts, picked at random, differ from them."""
         explainer, wrong = Explainer(self.session), {}
         for fact in self._picks.sample(self.facts, count):
-            [told] = explainer.explain([(fact.species, fact.agent)], fact.frame)
-            assert told is not None
+            [answer] = explainer.explain([(fact.species, fact.agent)], fact.frame)
+            assert answer is not None
             shot = self.session.timeline.at(fact.frame - 1).shot
-            differ = differences(shot, fact, told.explanation)
+            differ = differences(shot, fact, answer.explanation)
             if differ:
                 wrong[fact.species, fact.agent, fact.frame] = differ
         return wrong

@@ -63,7 +63,7 @@ class FailingMemory:
         return self.at is not None and (number == self.at or (self.lasting and number > self.at))
 
     @contextmanager
-    def asked(self) -> Iterator[None]:
+    def intercept(self) -> Iterator[None]:
         """Whatever NumPy allocates meanwhile, in threads that begin meanwhile too."""
         run, memory = threading.Thread.run, self
 
@@ -72,13 +72,13 @@ class FailingMemory:
             run(thread)
 
         self.count = 0
-        before = _call(_SET_HANDLER, self._capsule)
+        previous_handler = _call(_SET_HANDLER, self._capsule)
         try:
             with patch.object(threading.Thread, "run", asking):
                 yield
         finally:
             self.at = None
-            _call(_SET_HANDLER, before)
+            _call(_SET_HANDLER, previous_handler)
 
 
 def _pointer(capsule: Any, name: bytes | None) -> int:

@@ -25,8 +25,8 @@ def taken(size: int) -> int:
     """Where Linux puts so many bytes that nobody uses."""
     place = _LIBC.mmap(None, size, _NO_ACCESS, mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS | _NO_RESERVE, -1, 0)
     assert place not in (None, ctypes.c_void_p(-1).value), ctypes.get_errno()
-    found: int = place
-    return found
+    address: int = place
+    return address
 
 
 def split() -> None:
@@ -53,13 +53,13 @@ def program(numbers: list[float]) -> str:
 def main() -> None:
     numbers = [1 + 1 / (3 + k) for k in range(400)]
     code = machine.object_code(program(numbers), machine.host())
-    room = np.array([0.3])
+    buffer = np.array([0.3])
     split()
-    machine.load(code).function("far")(room.ctypes.data, 0, 0)
-    wanted = 0.3
+    machine.load(code).function("far")(buffer.ctypes.data, 0, 0)
+    expected = 0.3
     for number in numbers:
-        wanted = wanted * number + number
-    assert room[0] == wanted, (room, wanted)
+        expected = expected * number + number
+    assert buffer[0] == expected, (buffer, expected)
     print("same", flush=True)
 
 

@@ -56,15 +56,15 @@ _BOX = [
 
 def far_pair(folder: Path, last: int = 12, up: str = "y") -> tuple[Path, Path]:
     """The caches of the two worlds, in folders `near` and `far` of a folder."""
-    made = []
+    caches = []
     for name, origin in (("near", np.zeros(3)), ("far", ORIGIN)):
         place = folder / name
         place.mkdir()
         write_scene(place, origin, last, up)
-        done = run("run", "scene.yaml", "--out", "cache", "-q", cwd=place)
-        assert done.returncode == 0, done.stdout + done.stderr
-        made.append(place / "cache")
-    return made[0], made[1]
+        result = run("run", "scene.yaml", "--out", "cache", "-q", cwd=place)
+        assert result.returncode == 0, result.stdout + result.stderr
+        caches.append(place / "cache")
+    return caches[0], caches[1]
 
 
 def write_scene(folder: Path, origin: np.ndarray, last: int = 12, up: str = "y") -> None:
@@ -78,8 +78,8 @@ def write_scene(folder: Path, origin: np.ndarray, last: int = 12, up: str = "y")
     for name, low, high in (("wall", (-4, -0.5, -4), (-3, 1, -3)), ("heap", (0.5, -0.5, -3), (3, 1, -1))):
         corners = np.array([[(low, high)[k >> (2 - axis) & 1][axis] for axis in range(3)] for k in range(8)], float)
         _write_obj(folder / f"{name}.obj", corners, np.array(_BOX)[:, ::-1], origin, up)
-    way = _moved(np.array([[-4.0, 0, -4], [4, 0, -2], [4, 0, 4]]), origin, up)
-    (folder / "way.json").write_text(str(way.tolist()))
+    route = _moved(np.array([[-4.0, 0, -4], [4, 0, -2], [4, 0, 4]]), origin, up)
+    (folder / "way.json").write_text(str(route.tolist()))
     scene = SCENE.replace("UP", up).replace("LAST", str(last))
     for point in ([2, 0, 1], [-1, 0, 3], [3, 0, 3], [1, 6, 9], [0, 0, 0]):
         scene = scene.replace(f": {point}", f": {_moved(np.array([point], float), origin, up)[0].tolist()}")

@@ -35,20 +35,21 @@ class SystemCalls(AbstractContextManager["SystemCalls"]):
         self._patches = ExitStack()
         self.real: dict[str, Callable[..., Any]] = {name: getattr(os, name) for name in (*_BY_PATH, *_BY_HANDLE, "open", "close")}
 
-    def call(self, name: str, path: str, do: Do[Result], *more: Any) -> Result:
-        """One call of the system, `name` on `path`: what `do` does. `more`: the other path of a move, the data of a write."""
+    def call(self, name: str, path: str, do: Do[Result], *arguments: Any) -> Result:
+        """One call of the system, `name` on `path`: what `do` does. `arguments`: the other path of a move, the data of a
+        write."""
         return do()
 
     def _below(self, path: Any) -> str | None:
         """A path as a whole one, where it is the folder or lies below it."""
         if isinstance(path, int):
             return None
-        whole = os.path.normpath(os.path.join(os.getcwd(), os.fsdecode(path)))
-        return whole if whole == self.root or whole.startswith(self.root + os.sep) else None
+        full_path = os.path.normpath(os.path.join(os.getcwd(), os.fsdecode(path)))
+        return full_path if full_path == self.root or full_path.startswith(self.root + os.sep) else None
 
-    def _passed(self, name: str, path: str, do: Do[Result], *more: Any) -> Result:
+    def _passed(self, name: str, path: str, do: Do[Result], *arguments: Any) -> Result:
         with self._lock:
-            return self.call(name, path, do, *more)
+            return self.call(name, path, do, *arguments)
 
     def __enter__(self) -> SystemCalls:
         for name in _BY_PATH:
@@ -74,12 +75,12 @@ class SystemCalls(AbstractContextManager["SystemCalls"]):
     def _of_path(self, name: str) -> Callable[..., Any]:
         real = self.real[name]
 
-        def called(path: Any, *words: Any, **more: Any) -> Any:
-            below = None if more.get("dir_fd") is not None else self._below(path)
+        def called(path: Any, *words: Any, **keywords: Any) -> Any:
+            below = None if keywords.get("dir_fd") is not None else self._below(path)
             if below is None:
-                return real(path, *words, **more)
+                return real(path, *words, **keywords)
             others = [os.path.abspath(os.fsdecode(words[0]))] if name in ("replace", "rename", "link") else []
-            return self._passed(name, below, lambda: real(path, *words, **more), *others)
+            return self._passed(name, below, lambda: real(path, *words, **keywords), *others)
 
         return called
 
@@ -143,23 +144,23 @@ class Faults(SystemCalls):
         self.hit: str | None = None
         self.seen: list[str] = []
 
-    def call(self, name: str, path: str, do: Do[Result], *more: Any) -> Result:
+    def call(self, name: str, path: str, do: Do[Result], *arguments: Any) -> Result:
         number, self.count = self.count, self.count + 1
         self.seen.append(f"{name} {os.path.relpath(path, self.root)}")
-        later = self.at is not None and number > self.at and self.fault.lasting and self._needs_room(name, more)
+        later = self.at is not None and number > self.at and self.fault.lasting and self._needs_room(name, arguments)
         if number != self.at and not later:
             return do()
         if number == self.at:
             self.hit = self.seen[-1]
-        if self.fault.short and name in ("write", "writev") and len(more[1]) > 1:
-            self.real["write"](more[0], more[1][: len(more[1]) // 2])
+        if self.fault.short and name in ("write", "writev") and len(arguments[1]) > 1:
+            self.real["write"](arguments[0], arguments[1][: len(arguments[1]) // 2])
         if self.fault.kill:
             os.kill(os.getpid(), signal.SIGKILL)
         of_handle = name in _BY_HANDLE
         raise OSError(self.fault.number, os.strerror(self.fault.number), None if of_handle else path)
 
-    def _needs_room(self, name: str, more: tuple[Any, ...]) -> bool:
-        return name in _NEED_ROOM and (name != "open" or bool(more[0] & os.O_CREAT))
+    def _needs_room(self, name: str, arguments: tuple[Any, ...]) -> bool:
+        return name in _NEED_ROOM and (name != "open" or bool(arguments[0] & os.O_CREAT))
 
 
 # --- power loss -----------------------------------------------------------------------------------------------------------
@@ -172,7 +173,7 @@ class _Content:
     durable: bytes = b""
     since: list[tuple[int, bytes] | int] = field(default_factory=list)
 
-    def after(self, count: int | None = None) -> bytes:
+    def with_changes(self, count: int | None = None) -> bytes:
         """With the first `count` changes done, all for None."""
         data = bytearray(self.durable)
         for change in self.since[:count]:
@@ -222,34 +223,34 @@ class Disk(SystemCalls):
         self._numbers[path], self._next = self._next, self._next + 1
         return self._numbers[path]
 
-    def call(self, name: str, path: str, do: Do[Result], *more: Any) -> Result:
+    def call(self, name: str, path: str, do: Do[Result], *arguments: Any) -> Result:
         place = os.path.dirname(path)
         if name == "open":
-            new = bool(more[0] & os.O_CREAT) and path not in self._numbers
+            new = bool(arguments[0] & os.O_CREAT) and path not in self._numbers
             result = do()
             if new:
                 self.calls.append(("create", self._numbers[place], os.path.basename(path), self._number(path)))
             return result
         if name in ("write", "writev"):
-            handle = more[0]
-            before = os.fstat(handle).st_size if self._appends(handle) else os.lseek(handle, 0, os.SEEK_CUR)
+            handle = arguments[0]
+            offset = os.fstat(handle).st_size if self._appends(handle) else os.lseek(handle, 0, os.SEEK_CUR)
             result = do()
             assert isinstance(result, int)
-            self.calls.append(("write", self._numbers[path], before, more[1][:result]))
+            self.calls.append(("write", self._numbers[path], offset, arguments[1][:result]))
             return result
         result = do()
         base = os.path.basename(path)
         if name == "ftruncate":
-            self.calls.append(("truncate", self._numbers[path], more[1]))
+            self.calls.append(("truncate", self._numbers[path], arguments[1]))
         elif name == "fsync":
             self.calls.append(("sync", self._numbers[path]))
         elif name == "mkdir":
             self.calls.append(("mkdir", self._numbers[place], base, self._number(path)))
         elif name in ("replace", "rename"):
             number = self._numbers.pop(path)
-            self._numbers[more[0]] = number
-            assert os.path.dirname(more[0]) == place
-            self.calls.append(("rename", self._numbers[place], base, os.path.basename(more[0])))
+            self._numbers[arguments[0]] = number
+            assert os.path.dirname(arguments[0]) == place
+            self.calls.append(("rename", self._numbers[place], base, os.path.basename(arguments[0])))
         elif name in ("unlink", "remove", "rmdir"):
             self._numbers.pop(path, None)
             self.calls.append(("unlink", self._numbers[place], base))
@@ -266,29 +267,29 @@ class Disk(SystemCalls):
         contents = {number: _Content(each.durable) for number, each in self._begin[0].items()}
         folders = {number: dict(names) for number, names in self._begin[1].items()}
         waiting: dict[int, list[_Change]] = {number: [] for number in folders}
-        for what, number, *more in self.calls[:at]:
+        for what, number, *arguments in self.calls[:at]:
             if what == "write":
-                contents[number].since.append((more[0], more[1]))
+                contents[number].since.append((arguments[0], arguments[1]))
             elif what == "truncate":
-                contents[number].since.append(more[0])
+                contents[number].since.append(arguments[0])
             elif what == "sync" and number in contents:
-                contents[number] = _Content(contents[number].after())
+                contents[number] = _Content(contents[number].with_changes())
             elif what == "sync":
                 _change(folders[number], waiting[number])
                 waiting[number] = []
             elif what == "rename":
-                waiting[number].append((what, more[0], more[1], 0))
+                waiting[number].append((what, arguments[0], arguments[1], 0))
             elif what == "unlink":
-                waiting[number].append((what, more[0], "", 0))
+                waiting[number].append((what, arguments[0], "", 0))
             else:
-                waiting[number].append(("create", more[0], "", more[1]))
+                waiting[number].append(("create", arguments[0], "", arguments[1]))
                 if what == "mkdir":
-                    folders[more[1]], waiting[more[1]] = {}, []
+                    folders[arguments[1]], waiting[arguments[1]] = {}, []
                 else:
-                    contents[more[1]] = _Content()
+                    contents[arguments[1]] = _Content()
         for number, changes in waiting.items():
-            some = {"nothing": 0, "contents": 0, "torn": chance.randint(0, len(changes))}.get(style, len(changes))
-            _change(folders[number], changes[:some])
+            change_count = {"nothing": 0, "contents": 0, "torn": chance.randint(0, len(changes))}.get(style, len(changes))
+            _change(folders[number], changes[:change_count])
         self._write(0, to, folders, {number: _left(each, style, chance) for number, each in contents.items()})
 
     def _write(self, number: int, to: Path, folders: Mapping[int, Names], contents: Mapping[int, bytes]) -> None:
@@ -312,13 +313,13 @@ def _change(names: Names, changes: list[_Change]) -> None:
 
 def _left(content: _Content, style: str, chance: random.Random) -> bytes:
     """What is in a file after a power loss."""
-    whole, durable = content.after(), content.durable
+    complete_data, durable = content.with_changes(), content.durable
     if style in ("nothing", "names") or not content.since:
         return durable
     if style == "contents":
-        return whole
+        return complete_data
     if style == "torn":
-        done = content.after(chance.randint(0, len(content.since)))
-        return done[: chance.randint(min(len(durable), len(done)), len(done))]
+        new_data = content.with_changes(chance.randint(0, len(content.since)))
+        return new_data[: chance.randint(min(len(durable), len(new_data)), len(new_data))]
     fill = (lambda count: bytes(count)) if style == "zeros" else chance.randbytes
-    return durable[: len(whole)] + fill(max(0, len(whole) - len(durable)))
+    return durable[: len(complete_data)] + fill(max(0, len(complete_data) - len(durable)))

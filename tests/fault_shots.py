@@ -17,26 +17,26 @@ from antdsl.executors.tasks import Worker, perform
 from antdsl.outputs.cache.cache_reader import frame_path
 from antdsl.outputs.cache.hashes import HASHES, read_lines
 
-MADE = "made"
+OUTPUT_FOLDER = "made"
 EXPORTS = {
     "csv": ("a.csv",), "events": ("e.csv", "--as", "events"), "npz": ("a.npz",), "poses": ("p.npz", "--as", "poses"),
     "events npz": ("e.npz", "--as", "events"), "geo": ("a.####.geo",), "ply": ("a.####.ply",), "obj": ("a.####.obj",),
     "glb": ("a.glb",), "gltf": ("a.gltf",), "usdc": ("a.usdc",), "usda": ("a.usda", "--as", "meshes"),
     "chunks": ("c.usdc", "--as", "xforms", "--chunk", "2"),
 }  # fmt: skip
-EXPORTED = {name: ("export", "out/scene", "--to", f"{MADE}/{to}", *words) for name, (to, *words) in EXPORTS.items()}
+EXPORTED = {name: ("export", "out/scene", "--to", f"{OUTPUT_FOLDER}/{to}", *words) for name, (to, *words) in EXPORTS.items()}
 SMALL = ("--width", "48", "--height", "32", "--threads", "1")
 WRITERS: dict[str, tuple[str, ...]] = {
     **EXPORTED,
-    "edit": ("edit", "out/scene", "--smooth", "orient:3", "--out", f"{MADE}/edited"),
-    "stills": ("render", "out/scene", "--frames", "1..2", "--out", MADE, *SMALL),
-    "sheet": ("render", "out/scene", "--sheet", "--frames", "1..2", "--out", MADE, *SMALL),
-    "summary": ("run", "scene.yaml", "--resume", "--threads", "1", "--summary", f"{MADE}/summary.json"),
-    "sweep": ("sweep", "scene.yaml", "--seeds", "2", "--jobs", "1", "--no-plots", "--out", f"{MADE}/sweep"),
+    "edit": ("edit", "out/scene", "--smooth", "orient:3", "--out", f"{OUTPUT_FOLDER}/edited"),
+    "stills": ("render", "out/scene", "--frames", "1..2", "--out", OUTPUT_FOLDER, *SMALL),
+    "sheet": ("render", "out/scene", "--sheet", "--frames", "1..2", "--out", OUTPUT_FOLDER, *SMALL),
+    "summary": ("run", "scene.yaml", "--resume", "--threads", "1", "--summary", f"{OUTPUT_FOLDER}/summary.json"),
+    "sweep": ("sweep", "scene.yaml", "--seeds", "2", "--jobs", "1", "--no-plots", "--out", f"{OUTPUT_FOLDER}/sweep"),
     "golden": ("test", "scene.yaml", "--update", "--threads", "1"),
-    "graph": ("graph", "walker.ant", "--out", f"{MADE}/walker.svg"),
-    "body": ("body", "ant", "--to", f"{MADE}/ant.json"),
-    "new": ("new", f"{MADE}/project"),
+    "graph": ("graph", "walker.ant", "--out", f"{OUTPUT_FOLDER}/walker.svg"),
+    "body": ("body", "ant", "--to", f"{OUTPUT_FOLDER}/ant.json"),
+    "new": ("new", f"{OUTPUT_FOLDER}/project"),
     "fmt": ("fmt", "walker.ant"),
 }
 BESIDE = {"golden": ("scene.golden.json",), "fmt": ("walker.ant",)}  # what is written beside the scene
@@ -75,17 +75,17 @@ def project(folder: Path) -> Path:
 
 
 def ran(folder: Path, *words: str) -> CompletedProcess[str]:
-    done = commands.run("run", "scene.yaml", "--threads", "1", "--backend", "numpy", *words, cwd=folder)
-    assert "Traceback" not in done.stderr, done.stderr
-    return done
+    result = commands.run("run", "scene.yaml", "--threads", "1", "--backend", "numpy", *words, cwd=folder)
+    assert "Traceback" not in result.stderr, result.stderr
+    return result
 
 
 def assert_same(folder: Path, unbroken: Path) -> None:
     """The cache has the frames of a run that nothing happened to, and no leftovers."""
-    mine, whole = folder / "out" / "scene", unbroken / "out" / "scene"
+    mine, reference = folder / "out" / "scene", unbroken / "out" / "scene"
     for frame in range(1, LAST + 1):
-        assert frame_path(mine, frame).read_bytes() == frame_path(whole, frame).read_bytes()
-    lines = read_lines(whole / HASHES)
+        assert frame_path(mine, frame).read_bytes() == frame_path(reference, frame).read_bytes()
+    lines = read_lines(reference / HASHES)
     assert {f: (line.hash, line.file) for f, line in read_lines(mine / HASHES).items()} == {
         f: (line.hash, line.file) for f, line in lines.items()
     }
@@ -110,21 +110,21 @@ class Inline(Processes):
 
 def files(folder: Path, name: str) -> dict[str, bytes]:
     """What a writer has written, by path."""
-    found = {str(path.relative_to(folder)): path for path in sorted((folder / MADE).rglob("*")) if path.is_file()}
-    found |= {each: folder / each for each in BESIDE.get(name, ()) if (folder / each).exists()}
-    return {each: path.read_bytes() for each, path in found.items() if path.name not in ("lock", ".antdsl-cache")}
+    paths = {str(path.relative_to(folder)): path for path in sorted((folder / OUTPUT_FOLDER).rglob("*")) if path.is_file()}
+    paths |= {each: folder / each for each in BESIDE.get(name, ()) if (folder / each).exists()}
+    return {each: path.read_bytes() for each, path in paths.items() if path.name not in ("lock", ".antdsl-cache")}
 
 
 def copied(unbroken: Path, folder: Path) -> Path:
     shutil.copytree(unbroken, folder)
-    (folder / MADE).mkdir()
+    (folder / OUTPUT_FOLDER).mkdir()
     return folder
 
 
 def written(folder: Path, name: str) -> tuple[int, str]:
-    done = commands.run(*WRITERS[name], cwd=folder)
-    assert "Traceback" not in done.stderr, (name, done.stderr)
-    return done.returncode, done.stderr
+    result = commands.run(*WRITERS[name], cwd=folder)
+    assert "Traceback" not in result.stderr, (name, result.stderr)
+    return result.returncode, result.stderr
 
 
 def same(name: str, path: str, data: bytes, new: bytes) -> bool:

@@ -10,16 +10,16 @@ from numpy.typing import NDArray
 from antdsl.numerics import vectors as vec
 from antdsl.runtime.world import Population
 
-Places = NDArray[np.float64]
+Points = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
 class BodyFrames:
     """n bodies: places [n, 3] (mm), axes [n, 3, 3] (ahead, up and aside as rows), sizes [n]."""
 
-    place: Places
-    axes: Places
-    size: Places
+    place: Points
+    axes: Points
+    size: Points
 
     @staticmethod
     def of(population: Population) -> BodyFrames:
@@ -32,18 +32,18 @@ class BodyFrames:
         axes = np.stack([ahead, above, np.cross(ahead, above)], axis=1)
         return BodyFrames(population.position[rows], axes, population.now["size"][rows].astype(float))
 
-    def to_bodies(self, places: Places) -> Places:
+    def to_bodies(self, points: Points) -> Points:
         """Where places [3, n, L] are from bodies, ahead, above and aside in their lengths, [3, n, L]."""
-        away = (np.moveaxis(places, 0, -1) - self.place[:, None]) / self.size[:, None, None]
+        away = (np.moveaxis(points, 0, -1) - self.place[:, None]) / self.size[:, None, None]
         return np.moveaxis(np.einsum("nak,nlk->nla", self.axes, away), -1, 0)
 
-    def to_world(self, points: Places) -> Places:
+    def to_world(self, points: Points) -> Points:
         """Places [3, n, L] of points [L, 3] of each body."""
         away = np.einsum("lk,nka->nla", points, self.axes) * self.size[:, None, None]
         return np.moveaxis(self.place[:, None] + away, -1, 0)
 
 
-def lean(points: Places, slope: NDArray[np.floating]) -> Places:
+def lean(points: Points, slope: NDArray[np.floating]) -> Points:
     """Points [L, 3] of trunks whose up is turned to the normal of planes with slopes [2, n]: [3, n, L], by Rodrigues' formula."""
     normal = np.stack([-slope[0], np.ones(slope.shape[1]), -slope[1]], axis=1).astype(float)
     normal /= np.linalg.norm(normal, axis=1, keepdims=True)

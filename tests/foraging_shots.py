@@ -42,16 +42,16 @@ def setting(
     **params: float,
 ) -> Setting:
     """The example's setting with another crowd, rate, load of all food or parameters (base units)."""
-    given = shot(scene).setting
-    crowd = given.crowds[0]
+    base_setting = shot(scene).setting
+    crowd = base_setting.crowds[0]
     place = dataclasses.replace(crowd.place, around=around or crowd.place.around, radius=radius or crowd.place.radius)
     crowd = dataclasses.replace(crowd, count=crowd.count if count is None else count, place=place)
-    items = dict(given.items)
+    items = dict(base_setting.items)
     if load is not None:
         items["food"] = tuple(dataclasses.replace(item, attributes={**item.attributes, "load": load}) for item in items["food"])
-    values = {**given.params, **{f"forager.{name}": value for name, value in params.items()}}
+    values = {**base_setting.params, **{f"forager.{name}": value for name, value in params.items()}}
     return dataclasses.replace(
-        given, crowds=(crowd, *given.crowds[1:]), fps=Fraction(fps), substeps=substeps, items=items, params=values
+        base_setting, crowds=(crowd, *base_setting.crowds[1:]), fps=Fraction(fps), substeps=substeps, items=items, params=values
     )
 
 
@@ -98,7 +98,7 @@ class Watched:
 def watch(world: World, frames: int, every: int = 24) -> Watched:
     """Run, and look at crumbs and surface at every frame, at scent and stones at every so many. Motion counts from the third
     second on: nobody chose to stand where the crowd was put."""
-    seen = Watched(world)
+    record = Watched(world)
     mesh = world.setting.obstacles["stones"]
     stones = RayScene(mesh.vertices, mesh.faces)
     for frame in range(frames + 1):
@@ -106,13 +106,13 @@ def watch(world: World, frames: int, every: int = 24) -> Watched:
             step(world)
         if frame == 48:
             world.motion.reset()
-        seen.crumbs.append(crumbs(world))
-        seen.surface_error = max(seen.surface_error, surface_error(world))
+        record.crumbs.append(crumbs(world))
+        record.surface_error = max(record.surface_error, surface_error(world))
         if frame and frame % every == 0:
-            seen.concentration.append(concentration(world))
-            gap, _ = stones.apart(*world.populations["forager"].position.T, within=np.inf)
-            seen.in_stones = max(seen.in_stones, float(-gap.min()))
-    return seen
+            record.concentration.append(concentration(world))
+            gap, _ = stones.signed_distances(*world.populations["forager"].position.T, within=np.inf)
+            record.in_stones = max(record.in_stones, float(-gap.min()))
+    return record
 
 
 def surface_error(world: World) -> float:
@@ -124,16 +124,16 @@ def surface_error(world: World) -> float:
 
 def motion(world: World, **bounds: float) -> None:
     """Assert that each measure of motion is at most its bound; `straightness` at least."""
-    found = world.motion.summary()
+    summary = world.motion.summary()
     for name, bound in bounds.items():
-        good = found[name] >= bound if name == "straightness" else found[name] <= bound
-        assert good, (name, found[name], bound)
+        good = summary[name] >= bound if name == "straightness" else summary[name] <= bound
+        assert good, (name, summary[name], bound)
 
 
 def by_id(world: World, names: Sequence[str] | None = None, species: str = "forager") -> dict[str, NDArray[Any]]:
     """Registers of a species in the order of ids, for comparing bit for bit; those that belong to one step only are left out."""
     population = world.populations[species]
     order = population.in_id_order()
-    kept = names or [name for name, register in population.plan.registers.items() if register.role != "temp"]
-    found = {name: population.now[name][order].copy() for name in kept}
-    return found | {"ids": population.ids[order], "exact position": population.position[order]}
+    column_names = names or [name for name, register in population.plan.registers.items() if register.role != "temp"]
+    columns = {name: population.now[name][order].copy() for name in column_names}
+    return columns | {"ids": population.ids[order], "exact position": population.position[order]}

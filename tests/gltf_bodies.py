@@ -29,12 +29,12 @@ class Writer:
         self.data += raw
         return len(self.views) - 1
 
-    def add(self, values: Any, kind: str = "f", width: int | None = None, **more: Any) -> int:
+    def add(self, values: Any, kind: str = "f", width: int | None = None, **fields: Any) -> int:
         rows = np.asarray(values, np.float64)
         rows = rows.reshape(-1, width or (1 if rows.ndim == 1 else rows.shape[1]))
         view = self.view(rows, kind)
         self.accessors.append(
-            {"bufferView": view, "componentType": KINDS[kind], "count": len(rows), "type": TYPES[rows.shape[1]], **more}
+            {"bufferView": view, "componentType": KINDS[kind], "count": len(rows), "type": TYPES[rows.shape[1]], **fields}
         )
         return len(self.accessors) - 1
 
@@ -48,8 +48,8 @@ def binary(tree: dict[str, Any], data: bytes) -> bytes:
     text = json.dumps(tree).encode()
     text += b" " * (-len(text) % 4)
     data = bytes(data) + bytes(-len(data) % 4)
-    whole = struct.pack("<II", len(text), 0x4E4F534A) + text + struct.pack("<II", len(data), 0x004E4942) + data
-    return b"glTF" + struct.pack("<II", 2, 12 + len(whole)) + whole
+    chunks = struct.pack("<II", len(text), 0x4E4F534A) + text + struct.pack("<II", len(data), 0x004E4942) + data
+    return b"glTF" + struct.pack("<II", 2, 12 + len(chunks)) + chunks
 
 
 def text(tree: dict[str, Any], data: bytes) -> bytes:

@@ -43,8 +43,8 @@ class Scene:
             assert view["byteOffset"] % 4 == 0 and view["byteOffset"] + view["byteLength"] <= len(self.buffer)
             assert view["byteLength"] == entry["count"] * WIDTH[entry["type"]] * size and entry["count"] > 0
             if "min" in entry:
-                found = self.array(number)
-                assert found.min(axis=0).tolist() == entry["min"] and found.max(axis=0).tolist() == entry["max"]
+                values = self.array(number)
+                assert values.min(axis=0).tolist() == entry["min"] and values.max(axis=0).tolist() == entry["max"]
         for mesh in self.tree["meshes"]:
             for each in mesh["primitives"]:
                 count = self.tree["accessors"][each["attributes"]["POSITION"]]["count"]
@@ -76,14 +76,14 @@ class Scene:
         world: list[Any] = [None] * len(local)
 
         def place(number: int, above: np.ndarray) -> None:
-            node, made = local[number], np.eye(4)
+            node, matrix = local[number], np.eye(4)
             if "matrix" in node:
-                made = np.array(node["matrix"]).reshape(4, 4).T
+                matrix = np.array(node["matrix"]).reshape(4, 4).T
             else:
                 turn = Rotation.from_quat(node.get("rotation", [0, 0, 0, 1])).as_matrix()
-                made[:3, :3] = turn * np.asarray(node.get("scale", [1, 1, 1]))
-                made[:3, 3] = node.get("translation", [0, 0, 0])
-            world[number] = above @ made
+                matrix[:3, :3] = turn * np.asarray(node.get("scale", [1, 1, 1]))
+                matrix[:3, 3] = node.get("translation", [0, 0, 0])
+            world[number] = above @ matrix
             for child in node.get("children", []):
                 place(child, world[number])
 
@@ -102,18 +102,18 @@ class Scene:
         return np.array([np.interp(t, times, column) for column in values.T])
 
     def _points(self, node: dict[str, Any], world: list[np.ndarray], number: int) -> np.ndarray:
-        mesh, found = self.tree["meshes"][node["mesh"]], []
+        mesh, parts = self.tree["meshes"][node["mesh"]], []
         for each in mesh["primitives"][:1]:  # all of a mesh share their points
             points = self.array(each["attributes"]["POSITION"]).astype(float)
             for weight, target in zip(node.get("weights", mesh.get("weights", [])), each.get("targets", []), strict=True):
                 points = points + weight * self.array(target["POSITION"])
             points = np.concatenate([points, np.ones((len(points), 1))], axis=1)
             if "skin" not in node:
-                found.append((points @ world[number].T)[:, :3])
+                parts.append((points @ world[number].T)[:, :3])
                 continue
             skin = self.tree["skins"][node["skin"]]
             inverse = self.array(skin["inverseBindMatrices"]).reshape(-1, 4, 4).transpose(0, 2, 1)
             matrices = np.array([world[joint] for joint in skin["joints"]]) @ inverse
             joints, weights = self.array(each["attributes"]["JOINTS_0"]), self.array(each["attributes"]["WEIGHTS_0"])
-            found.append(np.einsum("pk,pkij,pj->pi", weights, matrices[joints], points)[:, :3])
-        return np.concatenate(found)
+            parts.append(np.einsum("pk,pkij,pj->pi", weights, matrices[joints], points)[:, :3])
+        return np.concatenate(parts)

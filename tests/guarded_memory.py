@@ -27,20 +27,20 @@ _known: dict[int, tuple[int, int, int]] = {}  # by address: where the pages begi
 
 
 def _allocate(size: int) -> int:
-    room = -(-max(size, 1) // _PAGE) * _PAGE
+    capacity = -(-max(size, 1) // _PAGE) * _PAGE
     flags = mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS
-    begin = _LIBC.mmap(None, room + _PAGE, mmap.PROT_READ | mmap.PROT_WRITE, flags, -1, 0)
-    if begin in (None, ctypes.c_void_p(-1).value) or _LIBC.mprotect(begin + room, _PAGE, _NO_ACCESS):
+    begin = _LIBC.mmap(None, capacity + _PAGE, mmap.PROT_READ | mmap.PROT_WRITE, flags, -1, 0)
+    if begin in (None, ctypes.c_void_p(-1).value) or _LIBC.mprotect(begin + capacity, _PAGE, _NO_ACCESS):
         return 0
-    address: int = begin + room - max(size, 1)
-    _known[address] = (begin, room + _PAGE, size)
+    address: int = begin + capacity - max(size, 1)
+    _known[address] = (begin, capacity + _PAGE, size)
     return address
 
 
 def _release(address: int | None) -> None:
     if address:
-        begin, room, _ = _known.pop(address)
-        _LIBC.munmap(begin, room)
+        begin, capacity, _ = _known.pop(address)
+        _LIBC.munmap(begin, capacity)
 
 
 def _again(address: int | None, size: int) -> int:
@@ -111,19 +111,19 @@ def main(arguments: list[str]) -> None:
     steps, programs, *counts = map(int, arguments)
     plan = plans.rich()
     worlds = [(plan, plans.setting(count)) for count in counts]
-    for made in map(Extremes, range(programs)):
-        plan, _ = random_extremes.plan_and_program(made)
-        worlds += [(plan, random_extremes.setting(made, count)) for count in counts]
+    for extremes in map(Extremes, range(programs)):
+        plan, _ = random_extremes.plan_and_program(extremes)
+        worlds += [(plan, random_extremes.setting(extremes, count)) for count in counts]
     guard()
     with np.errstate(all="ignore"):
         for plan, setting in worlds:
-            found = []
-            for way in (usual, replace(native, chunk=8) if programs else native):
-                world = bind(plan, setting, way)
+            hashes = []
+            for options in (usual, replace(native, chunk=8) if programs else native):
+                world = bind(plan, setting, options)
                 for _ in range(steps):
                     step(world)
-                found.append(state_hash(world))
-            assert found[0] == found[1]
+                hashes.append(state_hash(world))
+            assert hashes[0] == hashes[1]
     print("same", flush=True)
     os._exit(0)  # what is released at the very end would call a Python that is gone
 

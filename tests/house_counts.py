@@ -73,12 +73,12 @@ def parameters(node: Function) -> int:
     return len([name for name in names if name not in ("self", "cls")])
 
 
-def places(root: Path) -> dict[str, list[str]]:
+def find_places(root: Path) -> dict[str, list[str]]:
     """By what is counted, every place of it."""
     package = root / "antdsl"
     files = {path: ast.parse(path.read_text(encoding="utf-8")) for path in sorted(package.rglob("*.py"))}
     modules = frozenset(module(path, root) for path in files)
-    found: dict[str, list[str]] = defaultdict(list)
+    places: dict[str, list[str]] = defaultdict(list)
     graph: dict[str, set[str]] = {name: set() for name in modules}
     for path, tree in files.items():
         own = path.relative_to(root).as_posix()
@@ -87,26 +87,26 @@ def places(root: Path) -> dict[str, list[str]]:
             if ours and name != module(path, root):
                 graph[module(path, root)].add(name)
             if inside:
-                found["own imports inside functions" if ours else "others' imports inside functions"].append(
+                places["own imports inside functions" if ours else "others' imports inside functions"].append(
                     f"{own}:{line} {name}"
                 )
         for node in ast.walk(tree):
             if isinstance(node, Function):
                 length = (node.end_lineno or node.lineno) - node.lineno + 1
                 if length > LONG:
-                    found[f"functions over {LONG} lines"].append(f"{own}:{node.lineno} {node.name} ({length})")
+                    places[f"functions over {LONG} lines"].append(f"{own}:{node.lineno} {node.name} ({length})")
                 if parameters(node) > MANY:
-                    found[f"functions of over {MANY} parameters"].append(f"{own}:{node.lineno} {node.name} ({parameters(node)})")
+                    places[f"functions of over {MANY} parameters"].append(f"{own}:{node.lineno} {node.name} ({parameters(node)})")
             if isinstance(node, ast.Name) and node.id == "Any":
-                found["Any"].append(f"{own}:{node.lineno}")
-    found["circles of modules"] = [" ".join(group) for group in circles(graph)]
+                places["Any"].append(f"{own}:{node.lineno}")
+    places["circles of modules"] = [" ".join(group) for group in circles(graph)]
     names: dict[str, list[str]] = defaultdict(list)
     for path in files:
         names[path.name].append(path.relative_to(root).as_posix())
-    found["names that stand in several rooms"] = [
+    places["names that stand in several rooms"] = [
         " ".join(v) for k, v in sorted(names.items()) if len(v) > 1 and k != "__init__.py"
     ]
-    return found
+    return places
 
 
 def counts(root: Path) -> list[tuple[str, int | str]]:
@@ -127,19 +127,19 @@ def counts(root: Path) -> list[tuple[str, int | str]]:
         ("lines of tests", sum(len(p.read_text(encoding="utf-8").splitlines()) for p in tests)),
         ("folders of over 16 files", sum(n > 16 for n in rooms.values())),
     ]
-    rows += [(f"files in {room}", n) for room, n in rooms.most_common() if n > 16]
-    return rows + [(name, len(where)) for name, where in sorted(places(root).items())]
+    rows += [(f"files in {subpackage}", n) for subpackage, n in rooms.most_common() if n > 16]
+    return rows + [(name, len(where)) for name, where in sorted(find_places(root).items())]
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("tree", nargs="?", type=Path, default=Path(__file__).resolve().parent.parent)
     parser.add_argument("--list", action="store_true", help="with every place")
-    asked = parser.parse_args()
-    for name, count in counts(asked.tree):
+    options = parser.parse_args()
+    for name, count in counts(options.tree):
         print(f"{count:>8}  {name}")
-    if asked.list:
-        for name, where in sorted(places(asked.tree).items()):
+    if options.list:
+        for name, where in sorted(find_places(options.tree).items()):
             print(f"\n{name}", *where, sep="\n  ")
 
 

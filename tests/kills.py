@@ -21,7 +21,7 @@ from pathlib import Path
 
 import commands
 from fault_shim import Fault, Faults
-from fault_shots import BESIDE, MADE, WRITERS, Inline, assert_same, copied, files, project, same
+from fault_shots import BESIDE, OUTPUT_FOLDER, WRITERS, Inline, assert_same, copied, files, project, same
 
 import antdsl.executors
 from antdsl.cli import _run
@@ -90,7 +90,9 @@ class Kind:
         return project(folder) if self.name == "run" else copied(self.unbroken, folder)
 
     def shim(self, folder: Path, at: int | None) -> Faults:
-        return Faults(folder if self.name in BESIDE else folder / ("out" if self.name == "run" else MADE), at, Fault(kill=True))
+        return Faults(
+            folder if self.name in BESIDE else folder / ("out" if self.name == "run" else OUTPUT_FOLDER), at, Fault(kill=True)
+        )
 
     def killed(self, folder: Path, chance: random.Random) -> bool:
         """Kill the command in a folder; whether it was still running."""
@@ -122,9 +124,9 @@ class Kind:
         if self.name == "run":
             assert_same(folder, self.unbroken)
             return
-        found = {path: data for path, data in files(folder, self.name).items() if not Path(path).name.startswith(".")}
-        assert found.keys() == self.files.keys()
-        for path, data in found.items():
+        contents = {path: data for path, data in files(folder, self.name).items() if not Path(path).name.startswith(".")}
+        assert contents.keys() == self.files.keys()
+        for path, data in contents.items():
             assert same(self.name, path, data, self.files[path]), path
 
 
@@ -137,7 +139,7 @@ def kill(count: int, seed: int, report: Callable[[str], None] = say) -> int:
     for name in IMPORTED:
         importlib.import_module(name)
     antdsl.executors.Processes = Inline  # type: ignore[misc]
-    chance, consistent, done = random.Random(seed), 0, 0
+    chance, consistent, total = random.Random(seed), 0, 0
     with tempfile.TemporaryDirectory(prefix="antdsl.kills.") as name:
         place = Path(name)
         unbroken = project(place / "unbroken")
@@ -146,7 +148,7 @@ def kill(count: int, seed: int, report: Callable[[str], None] = say) -> int:
             commands.run(*(RUN if each == "run" else WRITERS[each]), cwd=copied(unbroken, place / f"warm {each}"))
         assert threading.active_count() == 1, threading.enumerate()
         kinds = {each: Kind(each, unbroken, place) for each in dict.fromkeys(KINDS)}
-        while done < count:
+        while total < count:
             kind = kinds[chance.choice(KINDS)]
             folder = kind.fresh(place / "shot")
             kills = int(kind.killed(folder, chance))
@@ -154,17 +156,17 @@ def kill(count: int, seed: int, report: Callable[[str], None] = say) -> int:
                 kills += 1  # the command that goes on is killed too
             if not kills:
                 continue
-            done += kills
-            if done // 50 > (done - kills) // 50 and done < count:
-                report(f"{done - kills} kills: {consistent} consistent, going on")
+            total += kills
+            if total // 50 > (total - kills) // 50 and total < count:
+                report(f"{total - kills} kills: {consistent} consistent, going on")
             try:
                 kind.demand_whole_files(folder)
                 kind.demand_same_end(folder)
                 consistent += kills
             except Exception as why:
                 report(f"{kind.name}: {why!r}"[:2000])
-    report(f"{done} kills: {consistent} consistent")
-    return done - consistent
+    report(f"{total} kills: {consistent} consistent")
+    return total - consistent
 
 
 if __name__ == "__main__":

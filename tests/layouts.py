@@ -22,21 +22,21 @@ FILES = sorted(path for folder in _FOLDERS for path in (ROOT / folder).rglob("*.
 
 
 def scanned(text: str) -> tuple[Scan, list[Token]]:
-    found = scan(Source("t.ant", text), Report())
-    tokens = pair(found)
+    scan_result = scan(Source("t.ant", text), Report())
+    tokens = pair(scan_result)
     assert tokens is not None
-    return found, tokens
+    return scan_result, tokens
 
 
 @cache
 def pieces() -> dict[str, list[str]]:
     """The texts of all lines of the files, with their blocks, by the rule that reads them."""
-    found: dict[str, list[str]] = {}
+    texts_by_rule: dict[str, list[str]] = {}
 
     def walk(text: str, lines: list[Line], rule: str) -> None:
         for line in lines:
             words = text[line.start : line.end]
-            found.setdefault(rule, []).append(words)
+            texts_by_rule.setdefault(rule, []).append(words)
             for group in line.groups:
                 inner = "weight" if group.chooses else BODIES.get((rule, words.split()[0])) or BODIES.get((rule, "*"))
                 walk(text, group.lines, inner or "")
@@ -45,26 +45,26 @@ def pieces() -> dict[str, list[str]]:
         text = path.read_text(encoding="utf-8")
         found_here, tokens = scanned(text)
         walk(text, cut(found_here, tokens), "top")
-    return found
+    return texts_by_rule
 
 
 def program(rng: random.Random) -> str:
     """A text that parses: a species of random members, states with random lines, and a few other things of files."""
     parts = pieces()
 
-    def some(rule: str, most: int, longest: int = 300, without: str = "") -> list[str]:
+    def choose_texts(rule: str, most: int, longest: int = 300, without: str = "") -> list[str]:
         fitting = [text for text in parts[rule] if len(text) <= longest and not (without and text.startswith(without))]
         return [rng.choice(fitting) for _ in range(rng.randint(0, most))]
 
-    top = [text for text in some("top", 2, 500) if not text.startswith(("ant", '"'))]
-    members = some("member", 7, without="start")
+    top = [text for text in choose_texts("top", 2, 500) if not text.startswith(("ant", '"'))]
+    members = choose_texts("member", 7, without="start")
     author = Author(rng)
     author.before = lambda r: r.now["x"]
     for k in range(rng.randint(0, 2)):
         value, _ = author.number(rng.randint(2, 5))
         members.append(f"let long{k} = {value}" + (' "how long"' if rng.random() < 0.3 else ""))
-    members.append("state busy {\n" + "\n".join(some("statement", 6)) + "\n}")
-    members.append("layers {\n" + "\n".join(some("layer", 4)) + "\n}")
+    members.append("state busy {\n" + "\n".join(choose_texts("statement", 6)) + "\n}")
+    members.append("layers {\n" + "\n".join(choose_texts("layer", 4)) + "\n}")
     rng.shuffle(members)
     species = "species a" + rng.choice(["", ' "help"']) + " {\n" + "\n".join(members) + "\n}"
     help = rng.choice(["", '"What it is."\n'])
@@ -85,19 +85,19 @@ class Layout:
 
     def again(self, text: str) -> str:
         """The text with other blanks, and where `free` with other line ends and comments. Its own comments are left out."""
-        found, tokens = scanned(text)
+        scan_result, tokens = scanned(text)
         out: list[str] = [self.ending(True)] if self.free and self.rng.random() < 0.2 else []
         depth = 0  # of ( and [
         for token, following in zip(tokens, [*tokens[1:], None], strict=True):
-            sign = "".join(found.clean[token.start : token.end])
+            sign = "".join(scan_result.clean[token.start : token.end])
             if token.kind == "end":
                 out.append(self.ending(False) if self.free else sign)
                 continue
             out.append(self.number(sign) if token.kind == "number" else sign)
             depth += (sign in ("(", "[")) - (sign in (")", "]"))
             if following is not None:
-                after = "".join(found.clean[following.start : following.end])
-                out.append(self.gap(sign, after, following.start > token.end, depth))
+                next_sign = "".join(scan_result.clean[following.start : following.end])
+                out.append(self.gap(sign, next_sign, following.start > token.end, depth))
         joined = "".join(out)
         if self.free and self.rng.random() < 0.2:
             joined = joined.rstrip("\n; \t")
@@ -106,19 +106,19 @@ class Layout:
     def number(self, text: str) -> str:
         return text.replace(" ", self.rng.choice(["", " ", "  "]))
 
-    def gap(self, sign: str, after: str, apart: bool, depth: int) -> str:
+    def gap(self, sign: str, next_sign: str, is_separate: bool, depth: int) -> str:
         """What stands between two tokens of a line."""
         rng = self.rng
-        if self.free and not depth and (sign == "{" or after == "}") and rng.random() < 0.6:
+        if self.free and not depth and (sign == "{" or next_sign == "}") and rng.random() < 0.6:
             return self.ending(True)
-        needed = (sign[-1].isalnum() or sign[-1] in '_"%') and (after[0].isalnum() or after[0] in '_"')
-        least = " " if apart or needed else ""
+        needed = (sign[-1].isalnum() or sign[-1] in '_"%') and (next_sign[0].isalnum() or next_sign[0] in '_"')
+        least = " " if is_separate or needed else ""
         if depth and rng.random() < 0.15:
             return rng.choice(["\n", "\n\n   ", "  \n\t"])
         if depth and self.free and rng.random() < 0.06:
-            once = rng.choice(["  ", "\n  "]) + self.comment() + "\n"
-            return once if rng.random() < 0.7 else f"{once}\n {self.comment()}\n"
-        if sign in "([,{" or (after in ")],}" and not needed):
+            comment_line = rng.choice(["  ", "\n  "]) + self.comment() + "\n"
+            return comment_line if rng.random() < 0.7 else f"{comment_line}\n {self.comment()}\n"
+        if sign in "([,{" or (next_sign in ")],}" and not needed):
             least = ""
         return rng.choice([least, least, " ", "   ", "\t"])
 

@@ -54,36 +54,36 @@ class Page:
         """What `true` gives, once it gives something."""
         end = time.monotonic() + PATIENCE
         with self._changed:
-            while not (found := true()):
+            while not (value := true()):
                 assert self._changed.wait(max(end - time.monotonic(), 0)), f"nothing came after {str(self.told[-3:])[:500]}"
-        return found
+        return value
 
     def last(self, op: str) -> Message | None:
         return next((message for message in reversed(self.told) if message["op"] == op), None)
 
-    def status(self, **wanted: Any) -> Message:
+    def status(self, **expected: Any) -> Message:
         """The latest status, once it says so."""
 
         def fits() -> Message | None:
-            found = self.last("status")
-            return found if found is not None and all(found[key] == value for key, value in wanted.items()) else None
+            message = self.last("status")
+            return message if message is not None and all(message[key] == value for key, value in expected.items()) else None
 
         return self.until(fits)
 
     def hash_at(self, frame: int) -> str:
         """The hash of a frame, once the session stands still there."""
-        return self.until(lambda: (found := self.last("status")) and found["frame"] == frame and found["hash"])
+        return self.until(lambda: (message := self.last("status")) and message["frame"] == frame and message["hash"])
 
-    def shown(self, frame: int, *, light: bool = False) -> dict[str, NDArray[Any]]:
+    def frame_arrays(self, frame: int, *, light: bool = False) -> dict[str, NDArray[Any]]:
         """The arrays of a frame, once it is the one that is shown."""
         self.until(lambda: self.frames and self.frames[-1] == (frame, light))
         return unpack(self.packets["frame"])[1]
 
-    def told_after(self, op: str, number: int) -> Message:
+    def message_after(self, op: str, number: int) -> Message:
         """The first message of an op among those after the first `number` of all."""
         return self.until(lambda: next((message for message in self.told[number:] if message["op"] == op), None))
 
-    def done(self, op: str, **what: Any) -> Message:
+    def ask_and_wait(self, op: str, **what: Any) -> Message:
         """Ask, and what came of it."""
         number = len(self.told)
         self.ask(op, **what)
@@ -92,7 +92,7 @@ class Page:
         )
 
 
-def places(arrays: dict[str, NDArray[Any]], species: str) -> NDArray[np.float32]:
+def agent_positions(arrays: dict[str, NDArray[Any]], species: str) -> NDArray[np.float32]:
     return arrays[f"{species}/position"].reshape(-1, 3)
 
 
@@ -100,9 +100,9 @@ def hashes(scene: Path, last: int) -> dict[int, str]:
     """The hash of each frame of a run of the files as they are."""
     shot, report = open_scene(scene)
     assert shot is not None, [d.message for d in report.errors]
-    found = {}
+    hash_by_frame = {}
     for world in simulate(shot):
-        found[world.frame] = state_hash(world)
+        hash_by_frame[world.frame] = state_hash(world)
         if world.frame == last:
             break
-    return found
+    return hash_by_frame

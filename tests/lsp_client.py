@@ -21,9 +21,11 @@ COMMAND = [sys.executable, "-m", "antdsl", "lsp"]
 
 def initialize_params(root: Path, snippets: bool = True) -> lsp.InitializeParams:
     item = lsp.ClientCompletionItemOptions(snippet_support=snippets)
-    about = lsp.TextDocumentClientCapabilities(completion=lsp.CompletionClientCapabilities(completion_item=item))
+    capabilities = lsp.TextDocumentClientCapabilities(completion=lsp.CompletionClientCapabilities(completion_item=item))
     folder = lsp.WorkspaceFolder(root.as_uri(), root.name)
-    return lsp.InitializeParams(lsp.ClientCapabilities(text_document=about), root_uri=root.as_uri(), workspace_folders=[folder])
+    return lsp.InitializeParams(
+        lsp.ClientCapabilities(text_document=capabilities), root_uri=root.as_uri(), workspace_folders=[folder]
+    )
 
 
 @dataclass
@@ -39,18 +41,18 @@ class Editor:
         self.version += 1
         document = lsp.TextDocumentItem(uri, "yaml" if uri.endswith(".yaml") else "antdsl", self.version, text)
         self.client.text_document_did_open(lsp.DidOpenTextDocumentParams(document))
-        return await self.told(uri)
+        return await self.wait_for_diagnostics(uri)
 
     async def change(self, uri: str, changes: list[Any]) -> list[lsp.Diagnostic]:
         self.version += 1
         identifier = lsp.VersionedTextDocumentIdentifier(self.version, uri)
         self.client.text_document_did_change(lsp.DidChangeTextDocumentParams(identifier, changes))
-        return await self.told(uri)
+        return await self.wait_for_diagnostics(uri)
 
     async def rewrite(self, uri: str, text: str) -> list[lsp.Diagnostic]:
         return await self.change(uri, [lsp.TextDocumentContentChangeWholeDocument(text)])
 
-    async def told(self, uri: str, seconds: float = 20) -> list[lsp.Diagnostic]:
+    async def wait_for_diagnostics(self, uri: str, seconds: float = 20) -> list[lsp.Diagnostic]:
         """The complaints about the version that was sent last."""
         async with asyncio.timeout(seconds):
             while self.known.get(uri, (0, []))[0] != self.version:
@@ -76,11 +78,11 @@ class Editor:
 
 def cursor(text: str) -> tuple[str, lsp.Position]:
     """A text without its `|`, and where that stood; columns in UTF-16."""
-    before, mark, after = text.partition("|")
+    prefix, mark, suffix = text.partition("|")
     assert mark, "no `|` in the text"
-    line = before.count("\n")
-    column = len(before.rpartition("\n")[2].encode("utf-16-le")) // 2
-    return before + after, lsp.Position(line, column)
+    line = prefix.count("\n")
+    column = len(prefix.rpartition("\n")[2].encode("utf-16-le")) // 2
+    return prefix + suffix, lsp.Position(line, column)
 
 
 def place_of(text: str, word: str, nth: int = 0, inside: int = 1) -> lsp.Position:

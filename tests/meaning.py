@@ -13,13 +13,13 @@ from antdsl.passes import optimise
 from antdsl.plan import ir
 from antdsl.runtime import CrowdData, ItemData, Options, PlaceData, Setting, World, bind, state_hash, step
 
-WAYS = (
+OPTION_SETS = (
     Options(backend="numpy"),
     Options(chunk=7, threads=2, shuffle_rows=3, backend="numpy"),
     Options(backend="reference"),
     Options(backend="reference", shuffle_rows=1),
 )
-FAST = WAYS[:2]  # for many agents: the reference takes its time
+FAST = OPTION_SETS[:2]  # for many agents: the reference takes its time
 Points = Sequence[tuple[float, float]]
 
 
@@ -34,7 +34,7 @@ def item(name: str, x: float, z: float, radius: float = 1.0, **attributes: float
     return ItemData(name, (x, 0.0, z), radius, attributes)
 
 
-class Seen:
+class RunHistory:
     """What one run showed: `[name]` is a register of the species by id at the end, `at(…)` at a frame."""
 
     def __init__(self, species: str) -> None:
@@ -70,36 +70,36 @@ class Seen:
 
 
 def played(
-    plan: ir.Plan, setting: Setting, steps: int, species: str = "a", ways: Sequence[Options] = WAYS,
+    plan: ir.Plan, setting: Setting, steps: int, species: str = "a", option_sets: Sequence[Options] = OPTION_SETS,
     each: Callable[[World], None] | None = None,
-) -> Seen:  # fmt: skip
+) -> RunHistory:  # fmt: skip
     """Run a plan in several ways; the hashes of all frames must be the same. `each` looks at every frame of the first way."""
-    seen = Seen(species)
+    history = RunHistory(species)
     first: list[str] = []
-    for way in ways:
-        world = bind(plan, setting, way)
+    for options in option_sets:
+        world = bind(plan, setting, options)
         hashes = [state_hash(world)]
-        if way is ways[0]:
-            seen.take(world)
+        if options is option_sets[0]:
+            history.take(world)
         for _ in range(steps):
             step(world)
             hashes.append(state_hash(world))
-            if way is ways[0]:
-                seen.take(world)
+            if options is option_sets[0]:
+                history.take(world)
                 if each is not None:
                     each(world)
         first = first or hashes
         differing = [k for k, (one, other) in enumerate(zip(first, hashes, strict=True)) if one != other]
-        assert not differing, f"{way} differs at frame {differing[0]}"
-    return seen
+        assert not differing, f"{options} differs at frame {differing[0]}"
+    return history
 
 
 def play(
     text: str, *crowds: CrowdData, steps: int = 1, world: str = WORLD, species: str = "a", fps: int = 10,
-    ways: Sequence[Options] = WAYS, each: Callable[[World], None] | None = None,
-    orders: Mapping[str, Sequence[str]] | None = None, **more: Any,
-) -> Seen:  # fmt: skip
+    option_sets: Sequence[Options] = OPTION_SETS, each: Callable[[World], None] | None = None,
+    orders: Mapping[str, Sequence[str]] | None = None, **setting_arguments: Any,
+) -> RunHistory:  # fmt: skip
     """Run a program on the endless plane, ten frames a second, by default with one agent of the species `a`."""
     plan = optimise(plan_of(text, world, **({} if orders is None else {"orders": orders})))
-    setting = Setting(fps=Fraction(fps), crowds=crowds or (crowd(),), **more)
-    return played(plan, setting, steps, species, ways, each)
+    setting = Setting(fps=Fraction(fps), crowds=crowds or (crowd(),), **setting_arguments)
+    return played(plan, setting, steps, species, option_sets, each)

@@ -25,8 +25,8 @@ class Wall:
     over: float
     half: float
 
-    def nearer(self, gone: np.ndarray) -> float:
-        return (gone @ self.normal) / min(self.ahead @ self.normal, -1e-3)
+    def nearer(self, displacement: np.ndarray) -> float:
+        return (displacement @ self.normal) / min(self.ahead @ self.normal, -1e-3)
 
 
 def length(v: np.ndarray) -> float:
@@ -152,12 +152,12 @@ class Agent(SimpleNamespace):
         if self.wall is None or (1 - far / over) * angle > (1 - self.wall.far / self.wall.over) * self.wall.angle:
             self.wall = Wall(normal, ahead, angle, far, over, self.half)
 
-    def tilted(self, normal: np.ndarray, gone: np.ndarray) -> np.ndarray:
+    def tilted(self, normal: np.ndarray, displacement: np.ndarray) -> np.ndarray:
         """How the body should stand on ground of a normal when the feet have gone so far."""
         if self.wall is None:
             return normal
         w, axis = self.wall, np.cross(normal, self.wall.normal)
-        part = min(max(1 - (w.far - w.nearer(gone)) / w.over, 0.0), 1.0) * w.angle
+        part = min(max(1 - (w.far - w.nearer(displacement)) / w.over, 0.0), 1.0) * w.angle
         part = min(part, angle_between(normal, w.normal))
         return turned(normal, axis / length(axis), part) if part > 0 and length(axis) > 1e-6 else normal
 
@@ -181,8 +181,8 @@ class Agent(SimpleNamespace):
         """Velocity and heading where the walk has led; whether the body has to follow later."""
         v = direction * length(self.velocity)
         if blocked:
-            gone = (place - self.place) / dt
-            v = gone - (self.step / dt - gone) * BOUNCE
+            actual_velocity = (place - self.place) / dt
+            v = actual_velocity - (self.step / dt - actual_velocity) * BOUNCE
         v = flat(v, up)
         free = 0.0 if self.was_leaning else self.tilts
         tilt = min(2 * math.asin(min(length(up - self.up) / 2, 1.0)), free)

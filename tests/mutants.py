@@ -50,7 +50,7 @@ class Mutation:
     node: ast.expr | ast.stmt
     text: str
     function: str
-    about: str
+    description: str
 
     def apply(self, source: str) -> str:
         """The source with the replacement, on as many lines as before."""
@@ -69,7 +69,7 @@ class Mutation:
 
 def mutations(source: str, kernel: str | None) -> list[Mutation]:
     """All mutations of the kernels and their helpers in a source."""
-    found: list[Mutation] = []
+    changes: list[Mutation] = []
     for function in ast.walk(ast.parse(source)):
         if not isinstance(function, ast.FunctionDef) or kernel not in (None, function.name):
             continue
@@ -77,10 +77,10 @@ def mutations(source: str, kernel: str | None) -> list[Mutation]:
             for statement in function.body[1:] if ast.get_docstring(function) else function.body:
                 for node in _nodes(statement):
                     if isinstance(node, ast.If | ast.While):
-                        found.append(Mutation(node.test, f"not ({ast.unparse(node.test)})", function.name, "condition"))
+                        changes.append(Mutation(node.test, f"not ({ast.unparse(node.test)})", function.name, "condition"))
                     if isinstance(node, ast.expr | ast.stmt):
-                        found += [Mutation(node, text, function.name, about) for text, about in _replaced(node)]
-    return found
+                        changes += [Mutation(node, text, function.name, description) for text, description in _replaced(node)]
+    return changes
 
 
 def _nodes(node: ast.AST) -> Iterator[ast.AST]:
@@ -125,26 +125,26 @@ def _changed(node: ast.AST, **fields: Any) -> str:
 def texts(file: Path) -> dict[str, str]:
     """The texts of all kernels that are made of functions of a file."""
     module = ".".join(file.resolve().relative_to(ROOT).with_suffix("").parts)
-    found = {}
+    kernel_texts = {}
     for each in library.load():
         if isinstance(each, Kernel):
-            told: list[str] = []
-            sources._function(each.part, told, {})
-            if any(line.startswith(f"{module} ") for line in told):
-                found[f"{each.__module__}.{each.__name__}"] = each.text(machine.host())
-    return found
+            source_lines: list[str] = []
+            sources._function(each.part, source_lines, {})
+            if any(line.startswith(f"{module} ") for line in source_lines):
+                kernel_texts[f"{each.__module__}.{each.__name__}"] = each.text(machine.host())
+    return kernel_texts
 
 
 def digests(file: Path, compiled: bool = False) -> dict[str, str] | None:
     """The hashes of these texts in a process of its own, or those of their machine code; None where they cannot be made."""
     words = [sys.executable, __file__, str(file), "--digests", "code" if compiled else "text"]
-    done = subprocess.run(words, cwd=ROOT, capture_output=True, text=True, env=_environment())
-    return json.loads(done.stdout) if done.returncode == 0 else None
+    process = subprocess.run(words, cwd=ROOT, capture_output=True, text=True, env=_environment())
+    return json.loads(process.stdout) if process.returncode == 0 else None
 
 
 def _print_digests(file: Path, compiled: bool) -> None:
-    found = texts(file)
-    code = {name: machine.object_code(text, machine.host()) if compiled else text.encode() for name, text in found.items()}
+    kernel_texts = texts(file)
+    code = {name: machine.object_code(text, machine.host()) if compiled else text.encode() for name, text in kernel_texts.items()}
     print(json.dumps({name: blake2b(each, digest_size=16).hexdigest() for name, each in code.items()}))
 
 
@@ -207,11 +207,11 @@ def _run(options: argparse.Namespace, source: str, cache: str) -> int:
             break
         mutant = mutation.apply(source)
         options.file.write_text(mutant, encoding="utf-8")
-        found = digests(options.file)
-        if found is None or found == text:
+        mutant_digests = digests(options.file)
+        if mutant_digests is None or mutant_digests == text:
             left_out += 1
             continue
-        place = f"{mutation.function}:{mutation.node.lineno} ({mutation.about})"
+        place = f"{mutation.function}:{mutation.node.lineno} ({mutation.description})"
         if not passes(options.tests, seconds, cache):
             killed += 1
             print(f"killed    {place}", flush=True)

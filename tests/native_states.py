@@ -24,12 +24,12 @@ PLAIN = machine.Target("x86_64-unknown-linux-gnu", "x86-64", "")
 def states(plan: ir.Plan, setting: Setting, backend: str) -> list[str]:
     """Hashes of all frames."""
     world = bind(plan, setting, Options(backend, wait_for_code=True))  # type: ignore[arg-type]
-    found = [state_hash(world)]
+    hashes = [state_hash(world)]
     for _ in range(FRAMES):
         step(world)
-        found.append(state_hash(world))
+        hashes.append(state_hash(world))
     assert backend == "numpy" or (world.backend.ready is None) == bool(machine.unavailable())  # type: ignore[attr-defined]
-    return found
+    return hashes
 
 
 def of_plan(backend: str) -> list[str]:

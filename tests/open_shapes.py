@@ -32,7 +32,7 @@ def sheet(size: float, cells: int, **how: tuple[float, float, float]) -> Mesh:
     return turned(grid(size, cells), (0, 1, 0), 0.0, **how)
 
 
-def strip(points: Floats, across: Floats) -> Mesh:
+def triangle_strip(points: Floats, across: Floats) -> Mesh:
     """Two rows of points, `across` apart, and the triangles between them."""
     k = np.arange(len(points) - 1)
     n = len(points)
@@ -79,12 +79,14 @@ def slivers() -> Mesh:
     for n in range(9):
         at, rows = np.zeros(3), []
         for k in range(14):
-            way = rng.normal(size=3)
-            at = at + way / np.linalg.norm(way) * (rng.choice([0.001, 0.03, 0.16, 0.3]) if k % 3 else rng.uniform(2, 5))
+            direction = rng.normal(size=3)
+            at = at + direction / np.linalg.norm(direction) * (
+                rng.choice([0.001, 0.03, 0.16, 0.3]) if k % 3 else rng.uniform(2, 5)
+            )
             rows.append(at)
         across = rng.normal(size=3)
         across *= rng.choice([0.15, 4.0]) / np.linalg.norm(across)
-        vertices, faces = strip(np.array(rows), across)
+        vertices, faces = triangle_strip(np.array(rows), across)
         vertices[len(rows) :] += rng.normal(0, 0.2, (len(rows), 3))
         parts.append((vertices + np.array([5.0 * (n % 3), 3.0 * (n // 3), 0.0]), faces))
     return joined(parts)
@@ -97,7 +99,9 @@ def book() -> Mesh:
         for k in range(pages):
             angle = 360.0 * k / pages + 13 * (k % 2)
             page, outer = (
-                strip(np.stack([np.linspace(-9, 9, cuts), np.zeros(cuts), np.full(cuts, at)], axis=1), np.array([0.0, 0, wide]))
+                triangle_strip(
+                    np.stack([np.linspace(-9, 9, cuts), np.zeros(cuts), np.full(cuts, at)], axis=1), np.array([0.0, 0, wide])
+                )
                 for cuts, at, wide in ((4, 0.0, 5.0), (6 + k, 5.0, 4.0))
             )
             parts.append(turned(joined([page, outer]), (1, 0, 0), angle, (0, 0, 21.0 * n)))
@@ -131,16 +135,16 @@ WORSE: dict[str, Callable[[], Mesh]] = {
 
 
 @dataclass(frozen=True)
-class Led:
+class Connectivity:
     """Of each side (0 that of the normal) of each face the number (2, m) of all that edges lead to from there; the number of what
     hangs together by edges (m); and which of these have a border."""
 
-    way: Index
+    side_component: Index
     part: Index
     open: NDArray[np.bool_]
 
 
-def led(mesh: Mesh) -> Led:
+def find_connectivity(mesh: Mesh) -> Connectivity:
     """By union-find over the two sides of each face: around each edge the faces stand in an order, and each leads to the next on
     the side that looks at it. Vertices nearer than a millionth of the size are one; of faces on one three the first counts."""
     vertices, faces = mesh
@@ -154,14 +158,14 @@ def led(mesh: Mesh) -> Led:
         return int(a)
 
     edges: dict[tuple[int, int], list[tuple[int, int]]] = {}
-    seen = set()
+    known_keys = set()
     for f, (a, b, c) in enumerate(weld.tolist()):
         key = tuple(sorted((a, b, c)))
         size = np.linalg.norm(np.cross(*(vertices[faces[f, 1:]] - vertices[faces[f, 0]])))
         long = max(np.linalg.norm(vertices[faces[f, k]] - vertices[faces[f, k - 1]]) for k in range(3))
-        if len(set(key)) < 3 or key in seen or size <= 1e-7 * long * long:
+        if len(set(key)) < 3 or key in known_keys or size <= 1e-7 * long * long:
             continue
-        seen.add(key)
+        known_keys.add(key)
         for k, (one, two) in enumerate(((b, c), (c, a), (a, b))):
             edges.setdefault((min(one, two), max(one, two)), []).append((f, k))
     border = np.zeros(m, bool)
@@ -173,7 +177,7 @@ def led(mesh: Mesh) -> Led:
                 parent[find(2 * m + one % m)] = find(2 * m + two % m)
     root = np.array([find(a) for a in range(3 * m)])
     part = root[2 * m :]
-    return Led(root[: 2 * m].reshape(2, m), part, np.isin(part, part[border]))
+    return Connectivity(root[: 2 * m].reshape(2, m), part, np.isin(part, part[border]))
 
 
 def _welded(vertices: Floats) -> Index:
@@ -208,8 +212,8 @@ def _pairs(vertices: Floats, faces: Index, weld: Index, around: list[tuple[int, 
         normal = np.cross(vertices[faces[g, 1]] - vertices[faces[g, 0]], vertices[faces[g, 2]] - vertices[faces[g, 0]])
         fronts.append(normal @ np.cross(axis, inward) > 0)  # whether the front looks the way that angles grow
     order = sorted(range(len(around)), key=lambda n: (angles[n], 3 * around[n][0] + around[n][1]))
-    found = []
+    pairs = []
     for n, one in enumerate(order):
         two = order[(n + 1) % len(order)]
-        found.append((around[one][0] + (0 if fronts[one] else m), around[two][0] + (m if fronts[two] else 0)))
-    return found
+        pairs.append((around[one][0] + (0 if fronts[one] else m), around[two][0] + (m if fronts[two] else 0)))
+    return pairs

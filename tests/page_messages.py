@@ -78,11 +78,11 @@ def texts(text: str = TEXT) -> dict[str, Any]:
 
 def problems(text: str = TEXT, word: str = "pase") -> dict[str, Any]:
     """One error, at a word of the text; offsets in units of UTF-16, as pages count."""
-    before = text[: text.index(word)]
-    start = len(before.encode("utf-16-le")) // 2
+    prefix = text[: text.index(word)]
+    start = len(prefix.encode("utf-16-le")) // 2
     return {"op": "problems", "problems": [{
         "code": "unknown-name", "severity": "error", "message": f"no `{word}` is known here", "help": "did you mean `pace`?",
-        "file": "ant.ant", "start": start, "end": start + len(word), "line": before.count("\n") + 1, "column": 1,
+        "file": "ant.ant", "start": start, "end": start + len(word), "line": prefix.count("\n") + 1, "column": 1,
     }]}  # fmt: skip
 
 

@@ -61,12 +61,12 @@ class Stage:
         ASK.validate_json(said)  # a page that asks what no server takes fails here
         self.asks.append(json.loads(said))
 
-    def tell(self, *told: dict[str, Any] | bytes) -> None:
+    def tell(self, *messages: dict[str, Any] | bytes) -> None:
         """Messages and packets, in this order."""
         assert self._socket is not None
-        for each in told:
+        for each in messages:
             self._socket.send(each if isinstance(each, bytes) else json.dumps(each))
-        self._sent += len(told)
+        self._sent += len(messages)
         self.page.wait_for_function("sent => window.heard >= sent", arg=self._sent)
         self.drawn()
 
@@ -77,7 +77,7 @@ class Stage:
     def find(self, name: str) -> Locator:
         return self.page.locator(f'[data-test="{name}"]')
 
-    def asked(self, op: str) -> list[dict[str, Any]]:
+    def requests_of(self, op: str) -> list[dict[str, Any]]:
         self.drawn()
         return [each for each in self.asks if each["op"] == op]
 

@@ -117,6 +117,6 @@ class Agent:
             return float(values[0])
         if op in ("item.alive", "agent.alive") and op not in self.senses:
             return values[0] >= 0
-        found = self.senses.get((op, *attrs), self.senses.get(op))
-        assert found is not None, f"no sense for {op} {attrs}"
-        return found(*values) if callable(found) else found
+        sense = self.senses.get((op, *attrs), self.senses.get(op))
+        assert sense is not None, f"no sense for {op} {attrs}"
+        return sense(*values) if callable(sense) else sense

@@ -11,7 +11,7 @@ from antdsl.plan.builder import Builder
 from antdsl.runtime import CrowdData, ItemData, Setting
 from antdsl.scene.setting import PlaceData
 
-GIVEN = {
+DEFAULT_ATTRIBUTES = {
     "size": 4.0,
     "mass": 1.0,
     "radius": 2.0,
@@ -24,13 +24,13 @@ GIVEN = {
 VECTORS = ("position", "velocity", "heading", "up")
 
 
-def registers(*more: ir.Register) -> dict[str, ir.Register]:
+def registers(*extra: ir.Register) -> dict[str, ir.Register]:
     """What every species has, and more."""
-    found = [ir.Register(f"{v}.{a}", ir.Kind.F32, "attribute") for v in VECTORS for a in "xyz"]
-    found += [ir.Register(name, ir.Kind.F32, "attribute", zero) for name, zero in GIVEN.items()]
-    found.append(ir.Register("max_turn", ir.Kind.F32, "attribute", float("inf")))
-    found += [ir.Register(f"push.{a}", ir.Kind.F32, "temp") for a in "xyz"]
-    return {r.name: r for r in (*found, *more)}
+    defaults = [ir.Register(f"{v}.{a}", ir.Kind.F32, "attribute") for v in VECTORS for a in "xyz"]
+    defaults += [ir.Register(name, ir.Kind.F32, "attribute", zero) for name, zero in DEFAULT_ATTRIBUTES.items()]
+    defaults.append(ir.Register("max_turn", ir.Kind.F32, "attribute", float("inf")))
+    defaults += [ir.Register(f"push.{a}", ir.Kind.F32, "temp") for a in "xyz"]
+    return {r.name: r for r in (*defaults, *extra)}
 
 
 def machine(*states: str) -> tuple[ir.MachinePlan, list[ir.Register]]:
@@ -95,8 +95,8 @@ def rich() -> ir.Plan:
     )
     state = t.snap("main.state", R)
     everywhere = t("set.items", float("inf"), attrs=("food",))
-    here = t("set.items", t("mul", t("param", attrs=("ant.smell",)), t("run", attrs=("u",))), attrs=("food",))
-    meal = t("reduce.item", here, t("gt", t("other", attrs=("load",)), 0), t("pair.distance"))
+    nearby_food = t("set.items", t("mul", t("param", attrs=("ant.smell",)), t("run", attrs=("u",))), attrs=("food",))
+    meal = t("reduce.item", nearby_food, t("gt", t("other", attrs=("load",)), 0), t("pair.distance"))
     home = t("reduce.item", t("set.items", float("inf"), attrs=("nest",)), t.b.true, t("pair.distance"))
     near = t("set.agents", 12.0, 0.3, attrs=("ant", False))
     around = t("set.agents", t("mul", t.snap("size"), 3.0), -1.0, attrs=("ant", True))
@@ -111,7 +111,7 @@ def rich() -> ir.Plan:
     fear_of_flies = t("reduce.max", flies, t.b.true, t("exp", t("neg", t("mul", t("pair.distance"), 0.05))))
     nearest_fly = t("reduce.min", flies, t("ne", t("other.id"), t.b.agent(0)), t("pair.distance"))
     touching = t("le", t("pair.distance"), t("add", t("other", attrs=("radius",)), t.snap("radius")))
-    at_food = t("reduce.any", here, t("and", touching, t("ge", t("number", t("other.row")), 0.0)))
+    at_food = t("reduce.any", nearby_food, t("and", touching, t("ge", t("number", t("other.row")), 0.0)))
     crowd = t("reduce.count", around, t("lt", t("pair.distance"), 8.0))
 
     hungry = t("and", t("eq", state, t.b.row(0)), t("item.alive", meal, attrs=("food",)))
@@ -232,7 +232,7 @@ def rich() -> ir.Plan:
     )
 
 
-def setting(ants: int = 40, flies: int = 3, **more: object) -> Setting:
+def setting(ants: int = 40, flies: int = 3, **overrides: object) -> Setting:
     """The plane, three sources of food, a nest, and a crowd about the middle."""
     items = {
         "food": (
@@ -246,8 +246,8 @@ def setting(ants: int = 40, flies: int = 3, **more: object) -> Setting:
         CrowdData("ant", ants, PlaceData(around=(0.0, 0.0, 0.0), radius=35.0)),
         CrowdData("fly", flies, PlaceData(points=np.array([[50.0, 0.0, 0.0], [0.0, 0.0, 50.0], [-20.0, 0.0, 0.0]])), group=1),
     )
-    given = dict(fps=Fraction(24), seed=11, items=items, crowds=crowds)
-    return Setting(**{**given, **more})  # type: ignore[arg-type]
+    defaults = dict(fps=Fraction(24), seed=11, items=items, crowds=crowds)
+    return Setting(**{**defaults, **overrides})  # type: ignore[arg-type]
 
 
 def bare(
@@ -256,18 +256,18 @@ def bare(
     decide: ir.Block | None = None,
     blend: ir.Block | None = None,
     born: ir.Block | None = None,
-    more: tuple[ir.Register, ...] = (),
+    extra_registers: tuple[ir.Register, ...] = (),
     **plan: object,
 ) -> ir.Plan:
     """One species with some number registers and nothing else to do."""
-    found = registers(*(ir.Register(name, ir.Kind.F32, "attribute") for name in numbers), *more)
+    ant_registers = registers(*(ir.Register(name, ir.Kind.F32, "attribute") for name in numbers), *extra_registers)
     empty = block()
-    ant = ir.SpeciesPlan("ant", found, (), born or empty, decide or empty, act, blend or empty, (), ())
-    given: dict = dict(fields={}, items={}, params={}, things={})
-    return ir.Plan(species={"ant": ant}, **{**given, **plan})
+    ant = ir.SpeciesPlan("ant", ant_registers, (), born or empty, decide or empty, act, blend or empty, (), ())
+    defaults: dict = dict(fields={}, items={}, params={}, things={})
+    return ir.Plan(species={"ant": ant}, **{**defaults, **plan})
 
 
-def crowd(count: int, radius: float = 40.0, **more: object) -> Setting:
+def crowd(count: int, radius: float = 40.0, **overrides: object) -> Setting:
     """So many ants about the origin."""
     crowds = (CrowdData("ant", count, PlaceData(around=(0.0, 0.0, 0.0), radius=radius)),)
-    return Setting(**{**dict(seed=3, crowds=crowds), **more})  # type: ignore[arg-type]
+    return Setting(**{**dict(seed=3, crowds=crowds), **overrides})  # type: ignore[arg-type]

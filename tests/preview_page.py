@@ -37,9 +37,9 @@ def coarse(name: str, every: int) -> bytes:
 
     mesh = trimesh.load(EXAMPLES / name, process=False)
     side = round(len(mesh.vertices) ** 0.5)
-    kept = mesh.vertices.reshape(side, side, 3)[::every, ::every]
-    _, faces = meshes.grid(1.0, len(kept) - 1)
-    return bytes(trimesh.Trimesh(kept.reshape(-1, 3), faces, process=False).export(file_type="ply"))
+    vertices = mesh.vertices.reshape(side, side, 3)[::every, ::every]
+    _, faces = meshes.grid(1.0, len(vertices) - 1)
+    return bytes(trimesh.Trimesh(vertices.reshape(-1, 3), faces, process=False).export(file_type="ply"))
 
 
 def few(place: Path, count: int) -> Path:
@@ -56,10 +56,10 @@ def previewed(scene: Path, *flags: str) -> Iterator[str]:
     words = ("preview", str(scene), "--no-open", "--port", "0", "--threads", "1", *flags)
     process = Forked(*words, cwd=scene.parent)
     try:
-        while (found := re.search(r"http://127\.0\.0\.1:\d+/#\S+(?=\n)", process.text)) is None:
+        while (address_match := re.search(r"http://127\.0\.0\.1:\d+/#\S+(?=\n)", process.text)) is None:
             assert not process.over, process.text
             time.sleep(0.02)
-        yield found[0]
+        yield address_match[0]
     finally:
         process.signal(signal.SIGINT)
         code, said = process.ended(60)
@@ -67,7 +67,7 @@ def previewed(scene: Path, *flags: str) -> Iterator[str]:
     assert "Traceback" not in said, said
 
 
-class Seen:
+class PreviewPage:
     """A page, and what it complained of."""
 
     def __init__(self, page: Page) -> None:
@@ -95,15 +95,15 @@ class Seen:
 
 
 @contextmanager
-def opened(browser: Browser, address: str, **context: Any) -> Iterator[Seen]:
+def opened(browser: Browser, address: str, **context: Any) -> Iterator[PreviewPage]:
     """The page of a preview with agents in it. It must not have complained by the time it is closed."""
-    made = browser.new_context(viewport=SIZE, **context)
+    browser_context = browser.new_context(viewport=SIZE, **context)
     try:
-        page = made.new_page()
-        seen = Seen(page)
+        page = browser_context.new_page()
+        preview = PreviewPage(page)
         page.goto(address)
-        seen.until("a.agents > 0 && a.pictures > 0", 40)
-        yield seen
-        assert not [each for each in seen.complaints if "GPU stall" not in each and "WebGL" not in each], seen.complaints
+        preview.until("a.agents > 0 && a.pictures > 0", 40)
+        yield preview
+        assert not [each for each in preview.complaints if "GPU stall" not in each and "WebGL" not in each], preview.complaints
     finally:
-        made.close()
+        browser_context.close()

@@ -114,9 +114,9 @@ class Served:
 @asynccontextmanager
 async def served(**live: Any) -> AsyncIterator[Served]:
     listening = listen(port=0)
-    made = Served(Noted(**live), Guard(listening.names), pages(), listening)
-    async with asyncio.timeout(SECONDS), Server(made.live, made.guard, made.pages, listening).running():
-        yield made
+    server = Served(Noted(**live), Guard(listening.names), pages(), listening)
+    async with asyncio.timeout(SECONDS), Server(server.live, server.guard, server.pages, listening).running():
+        yield server
 
 
 def frame(opcode: Opcode, data: bytes = b"", *, last: bool = True, packed: bool = False, masked: bool = True) -> bytes:

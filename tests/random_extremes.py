@@ -22,7 +22,7 @@ from antdsl.program import typed
 from antdsl.program.model import Program
 from antdsl.program.tables.effects import EFFECTS
 from antdsl.program.tables.set_senses import GIVES_SET, SET_SENSES
-from antdsl.program.tables.vocabulary import BUILTINS, GIVEN, OTHER_OPS, REDUCERS, SIGN_OPS
+from antdsl.program.tables.vocabulary import BUILTIN_ATTRIBUTES, BUILTINS, OTHER_OPS, REDUCERS, SIGN_OPS
 from antdsl.program.traverse import parts
 from antdsl.runtime import FieldStart, MeshData, Setting, World, set_param
 from antdsl.scene.setting import DetailData, Moves, Painted, SolidData, SpreadFlow, Target
@@ -173,55 +173,55 @@ class Extremes(random_sensing.Sensing):
 
     def lines(self, body: bool) -> str:
         """As those of any program, at times with one whose value is whatever comes of it."""
-        found = super().lines(body)
+        text = super().lines(body)
         if self.rng.random() < 0.2:
             line = self.rng.choice(self.statements).format(any=self.number(1), rate=" * 1 /s" if body else "")
             written = ("fear", "luck", "pal")
-            if not any(line.startswith(name) and f"{name} " in found for name in written):
-                found = f"{found}; {line}" if found else line
-        return found
+            if not any(line.startswith(name) and f"{name} " in text for name in written):
+                text = f"{text}; {line}" if text else line
+        return text
 
 
-def plan_and_program(made: Extremes) -> tuple[ir.Plan, Program]:
+def plan_and_program(extremes: Extremes) -> tuple[ir.Plan, Program]:
     """The program as checked, and its plan."""
-    program = program_of(made.text, WORLD)
+    program = program_of(extremes.text, WORLD)
     plan, _ = lower(program)
     verify(plan)
     return optimise(plan), program
 
 
-def setting(made: Extremes, agents: int = 21) -> Setting:
+def setting(extremes: Extremes, agents: int = 21) -> Setting:
     """Hills with a boulder, a hill to dig in, a road, two sources and a nest; for the kind `loose` an endless plane."""
-    draw = np.random.default_rng(made.seed)
+    draw = np.random.default_rng(extremes.seed)
     ground, stones = MeshData(*meshes.terrain(200.0, 12)), MeshData(*meshes.ball(15.0, (40, 5, 10), 6))
     goal = Target(np.array([[60.0, 0.0, 0.0]]), np.array([8.0]))
     lay = np.abs(ground.vertices[:, 1]) / 8
     lay[::7] = draw.choice(ODD[3:], len(lay[::7]))
-    more: dict[str, Any] = {}
-    if made.kind != "loose":
-        more = {
+    optional_parts: dict[str, Any] = {}
+    if extremes.kind != "loose":
+        optional_parts = {
             "surfaces": {"ground": ground},
             "flows": {"drift": SpreadFlow("toward", goal, radius=90.0)},
             "maps": {"damp": Painted("ground", lay)},
             "solids": {"hill": SolidData(MeshData(*meshes.box((-70, -20, -70), (-30, 25, -30))), 4.0)},
             "field_start": {"trail": FieldStart(float(draw.choice([0.5, 1e30, 1e-40, 1e-310])), (0.0, 0.0, 0.0), 40.0)},
         }
-    if made.kind == "moving":
-        way = np.repeat(np.eye(3, 4)[None], 30, axis=0)
-        way[:, 0, 3] = np.arange(30) * 0.5
-        more["moves"] = Moves(meshes={"ground": MeshMoves.rigid(way, len(ground.vertices))})
-    if made.kind == "detail":
-        more["detail"] = DetailData(np.array([[0.0, 60.0, 0.0]]), 70.0, 90.0)
+    if extremes.kind == "moving":
+        poses = np.repeat(np.eye(3, 4)[None], 30, axis=0)
+        poses[:, 0, 3] = np.arange(30) * 0.5
+        optional_parts["moves"] = Moves(meshes={"ground": MeshMoves.rigid(poses, len(ground.vertices))})
+    if extremes.kind == "detail":
+        optional_parts["detail"] = DetailData(np.array([[0.0, 60.0, 0.0]]), 70.0, 90.0)
     return Setting(
         fps=Fraction(10),
-        seed=made.seed,
-        contacts=("off", "soft", "hard")[made.seed % 3],
+        seed=extremes.seed,
+        contacts=("off", "soft", "hard")[extremes.seed % 3],
         obstacles={"stones": stones},
         curves={"way_in": np.array([[-80.0, 0, -80], [0, 0, 10], [80, 0, 60]])},
         items={"food": (item("f", 20, -20, 8, load=5), item("g", -40, 10, 8, load=2.5)), "nest": (item("n", 0, 0, 12),)},
         crowds=(crowd(agents, radius=60), crowd(4, species="other", radius=60)),
         params={f"a.{name}": float(draw.choice(ODD)) for name in ("odd", "huge", "tiny")},
-        **more,
+        **optional_parts,
     )
 
 
@@ -267,7 +267,7 @@ def constructs(plan: ir.Plan, program: Program) -> Iterator[str]:
             yield f"reduce {part.how}"
         elif isinstance(part, typed.SetOf):
             yield f"set {part.source}"
-        elif isinstance(part, typed.Attribute) and part.name in GIVEN:
+        elif isinstance(part, typed.Attribute) and part.name in BUILTIN_ATTRIBUTES:
             yield f"given {part.name}"
     for node in plan.nodes:
         yield f"operation {node.op}"
@@ -280,7 +280,11 @@ def constructs(plan: ir.Plan, program: Program) -> Iterator[str]:
 def every_construct() -> set[str]:
     """All that `constructs` may tell of, by the tables."""
     words = {row.op for rows in BUILTINS.values() for row in rows} - set(SET_SENSES)
-    found = {f"word {op}" for op in words | set(OTHER_OPS) | set(SIGN_OPS.values())}
-    found |= {f"reduce {how}" for how in REDUCERS} | {f"set {name}" for name in GIVES_SET} | {f"given {name}" for name in GIVEN}
-    found |= {f"operation {op}" for op in ir.OPS} | {f"effect {op}" for op in EFFECTS}
-    return found | {f"statement {each.__name__}" for each in (ir.If, ir.Store, ir.Claim, ir.Give)}
+    known_constructs = {f"word {op}" for op in words | set(OTHER_OPS) | set(SIGN_OPS.values())}
+    known_constructs |= (
+        {f"reduce {how}" for how in REDUCERS}
+        | {f"set {name}" for name in GIVES_SET}
+        | {f"given {name}" for name in BUILTIN_ATTRIBUTES}
+    )
+    known_constructs |= {f"operation {op}" for op in ir.OPS} | {f"effect {op}" for op in EFFECTS}
+    return known_constructs | {f"statement {each.__name__}" for each in (ir.If, ir.Store, ir.Claim, ir.Give)}

@@ -28,7 +28,7 @@ class Change:
     target: str | None  # None: previous
     actions: list[Act]
     interrupt: bool = False
-    after: int = 0  # steps
+    delay: int = 0  # steps
     held: int = 0
     anywhere: bool = False
     counter: int = 0
@@ -72,7 +72,7 @@ class Reading:
             if change.held:
                 change.counter = change.counter + 1 if holds else 0
                 holds = holds and change.counter > change.held
-            holds = holds and self.steps >= change.after and (change.interrupt or self.steps >= state.at_least)
+            holds = holds and self.steps >= change.delay and (change.interrupt or self.steps >= state.at_least)
             if change.anywhere and change.target is None and self.previous == self.state:
                 holds = False
             if holds and fired is None:
@@ -198,7 +198,7 @@ class Author:
             what = f"{what} held {seconds} s"
         elif kind == 1:
             seconds = rng.choice([0.1, 0.35, 0.4])
-            change.after, change.condition = ceil(round(seconds * FPS, 6)), lambda r: True
+            change.delay, change.condition = ceil(round(seconds * FPS, 6)), lambda r: True
             what = f"after {seconds} s"
         actions, change.actions = self.lines(2)
         return f"when {what} -> {target or 'previous'}" + (f" {{ {actions} }}" if actions else ""), change
@@ -206,10 +206,10 @@ class Author:
     def program(self) -> Program:
         rng = self.rng
         start = {name: rng.choice([0, 1, 2.5, -1]) for name in NUMBERS}
-        before, self.before = self.number(2, then=True)
+        let_text, self.before = self.number(2, then=True)
         (on, holds), (off, ends) = self.condition(1, then=True), self.condition(1, then=True)
         text = "species a {\n" + "".join(f"{name} = {value}\n" for name, value in start.items())
-        text += f"let before = {before}\nlatch high = {on} until {off}\nstart p\n"
+        text += f"let before = {let_text}\nlatch high = {on} until {off}\nstart p\n"
         anywhere = []
         for _ in range(rng.randint(0, 2)):
             written, change = self.change(None)

@@ -158,11 +158,11 @@ class Sensing:
         return first if rng.random() < 0.7 else f"({first} {rng.choice(('and', 'or'))} not ({rng.choice(self.conditions)}))"
 
     def lines(self, body: bool) -> str:
-        rng, found = self.rng, []
+        rng, statements = self.rng, []
         kinds = ["fear", "luck", "lay", "mark", "give", "emit", "pal", "bond"] + ([] if body else ["spawn", "die"])
         for kind in rng.sample(kinds, rng.randint(0, 3)):
             rate = " * 1 /s" if body else ""
-            found.append(
+            statements.append(
                 {
                     "fear": f"fear += {self.bounded()}{rate}",
                     "luck": f"luck = {self.bounded()}",
@@ -178,7 +178,7 @@ class Sensing:
                     "die": "die",
                 }[kind]
             )
-        return "; ".join(found)
+        return "; ".join(statements)
 
     def change(self) -> str:
         rng = self.rng
@@ -193,9 +193,9 @@ class Sensing:
         """Its thresholds do not hang on the latch itself."""
         every = self.conditions
         self.conditions = tuple(each for each in every if each != "scared")
-        found = f"latch scared = {self.number(1)} > 1.5 until {self.number(1)} < 0.5"
+        latch = f"latch scared = {self.number(1)} > 1.5 until {self.number(1)} < 0.5"
         self.conditions = every
-        return found
+        return latch
 
     def _program(self) -> str:
         rng = self.rng

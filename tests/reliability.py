@@ -60,7 +60,7 @@ ROWS = {
     "A19": Row(
         "files that use each other in a circle, other kinds of files",
         "an error with the circle",
-        ("scene/test_scene_files.py::test_files_that_use_each_other_in_a_circle_are_told",),
+        ("scene/test_scene_files.py::test_files_that_use_each_other_in_a_circle_are_reported",),
     ),
     "A20": Row(
         "paths out of the project",
@@ -165,7 +165,7 @@ ROWS = {
         "an error before they are decoded",
         (
             "scene/test_heights.py::test_a_large_image_is_refused_by_its_header",
-            "scene/test_heights.py::test_what_is_no_height_is_told_at_its_place",
+            "scene/test_heights.py::test_what_is_no_height_is_reported_at_its_place",
         ),
     ),
     "V5": Row("values and solids that cannot be", "an error or a repair that is reported"),
@@ -187,7 +187,7 @@ ROWS = {
         "damaged caches",
         "an error; never partial data",
         (
-            "outputs/test_cache.py::test_what_is_damaged_in_a_cache_is_told_and_made_again",
+            "outputs/test_cache.py::test_damage_in_a_cache_is_reported_and_repaired",
             "outputs/test_cache.py::test_every_flipped_byte_of_the_values_is_seen",
         ),
     ),
@@ -197,7 +197,7 @@ ROWS = {
         (
             "outputs/test_cache.py::test_strange_files_are_refused",
             "outputs/test_cache.py::test_strange_headers_are_refused",
-            "outputs/test_cache.py::test_a_checkpoint_that_somebody_has_made_is_refused_and_reads_no_other_memory",
+            "outputs/test_cache.py::test_a_forged_checkpoint_is_refused_and_reads_no_other_memory",
         ),
     ),
     "C3": Row(
@@ -225,8 +225,8 @@ ROWS = {
         "outputs that overwrite other files",
         "an error without `--force`",
         (
-            "outputs/test_cache.py::test_a_folder_of_somebody_else_is_left_alone",
-            "outputs/test_cache.py::test_a_folder_in_the_place_of_a_file_is_told_before_anything_is_removed",
+            "outputs/test_cache.py::test_a_foreign_folder_is_left_alone",
+            "outputs/test_cache.py::test_a_folder_in_the_place_of_a_file_is_reported_before_anything_is_removed",
         ),
     ),
     "C7": Row(
@@ -269,7 +269,7 @@ ROWS = {
     "N13": Row(
         "other versions of NumPy and Python",
         "differences are reported",
-        ("specs/test_specs_kept.py::test_a_golden_run_of_states_hashed_in_another_way_is_told_and_written_anew",),
+        ("specs/test_specs_kept.py::test_a_golden_run_of_states_hashed_differently_is_reported_and_rewritten",),
     ),
     # processes and tools
     "R1": Row(
@@ -283,7 +283,7 @@ ROWS = {
     "R2": Row(
         "very many changes of files",
         "one rebuild",
-        ("cli/test_hostile_runs.py::test_r2_a_storm_of_changes_is_told_once", "preview/test_watch.py"),
+        ("cli/test_hostile_runs.py::test_r2_a_storm_of_changes_is_reported_once", "preview/test_watch.py"),
     ),
     "R3": Row(
         "a file that is saved with mistakes",
@@ -299,7 +299,7 @@ ROWS = {
         "closed outputs, narrow terminals",
         "no traceback",
         (
-            "cli/test_hostile_runs.py::test_r5_whoever_stops_reading_ends_a_command_without_a_traceback",
+            "cli/test_hostile_runs.py::test_r5_a_reader_that_stops_ends_a_command_without_a_traceback",
             "cli/test_hostile_runs.py::test_r5_words_fit_a_terminal_that_knows_ascii_alone_and_is_narrow",
         ),
     ),
@@ -311,7 +311,7 @@ ROWS = {
     "R7": Row(
         "a warning in every frame",
         "once, with a count",
-        ("cli/test_hostile_runs.py::test_r7_a_value_that_is_wrong_everywhere_is_told_once",),
+        ("cli/test_hostile_runs.py::test_r7_a_value_that_is_wrong_everywhere_is_reported_once",),
     ),
     "R8": Row("scenes and programs that ask for code", "an error: no code is loaded"),
     # the preview's server
@@ -331,7 +331,7 @@ ROWS = {
         "rejected without the token",
         (
             "preview/test_preview_server.py::test_pages_of_others_are_refused_though_they_have_the_token",
-            "preview/test_preview_server.py::test_a_wrong_token_is_told_and_nothing_else_is",
+            "preview/test_preview_server.py::test_a_wrong_token_is_reported_and_nothing_else",
         ),
     ),
     "W4": Row("paths out of the page", "404", ("preview/test_preview_server.py::test_there_are_no_other_paths",)),
@@ -340,9 +340,9 @@ ROWS = {
         "limits",
         (
             "preview/test_preview_server.py::test_frames_out_of_order_end_their_own_connection_only",
-            "preview/test_preview_server.py::test_ten_thousand_connections_that_say_nothing_keep_nobody_out",
+            "preview/test_preview_server.py::test_ten_thousand_silent_connections_keep_no_page_out",
             "preview/test_preview_server.py::test_a_request_that_takes_for_ever_is_cut_off",
-            "preview/test_preview_server.py::test_compression_is_not_spoken",
+            "preview/test_preview_server.py::test_compression_is_refused",
             "preview/test_preview_server.py::test_sixteen_pages_look_on_and_the_next_has_to_wait",
         ),
     ),
@@ -356,7 +356,7 @@ ROWS = {
         "shown as text",
         (
             "preview/test_preview_server.py::test_markup_in_a_name_is_a_name",
-            "preview/test_preview_server.py::test_the_page_is_served_with_a_policy_and_kept_by_nobody",
+            "preview/test_preview_server.py::test_the_page_is_served_with_a_policy_and_is_not_cached",
         ),
     ),
     "W8": Row(
@@ -384,7 +384,7 @@ ROWS = {
         "an old page",
         "not cached; it loads itself again",
         (
-            "preview/test_preview_server.py::test_the_page_is_served_with_a_policy_and_kept_by_nobody",
+            "preview/test_preview_server.py::test_the_page_is_served_with_a_policy_and_is_not_cached",
             "preview/test_preview_coming_back.py::test_a_page_of_another_build_loads_itself_again_and_only_once",
         ),
     ),
@@ -413,13 +413,13 @@ class Outcomes:
         node = item.nodeid.removeprefix("tests/")
         function = node.partition("[")[0]
         file = node.partition("::")[0]
-        found = []
+        matching_rows = []
         for row, tests in self.tests.items():
             named = function == VERDICTS and f": {row} " in node
             if named or any(test != VERDICTS and test in (node, function, file) for test in tests):
-                found.append(row)
-        self._rows[item.nodeid] = found
-        return found
+                matching_rows.append(row)
+        self._rows[item.nodeid] = matching_rows
+        return matching_rows
 
     def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
         if report.when == "call" or not report.passed:

@@ -50,28 +50,34 @@ def frames_of(scene: Path, frames: int | None, most: int | None, feet: bool = Fa
 
 def feet_of(scene: Path) -> dict[int, str]:
     """The hashes of a scene's feet that are recorded, by frame; none where no body of it has legs."""
-    return {frame: found for frame, found in frames_of(scene, FEET_FRAMES, FEET_AGENTS, feet=True) if kept(frame) and found}
+    return {
+        frame: hash_text
+        for frame, hash_text in frames_of(scene, FEET_FRAMES, FEET_AGENTS, feet=True)
+        if is_recorded_frame(frame) and hash_text
+    }
 
 
 def recorded(path: Path = RECORDED) -> dict[str, dict[int, str]]:
     """What the file says: for each scene the hashes by frame."""
     lines = [line.split() for line in path.read_text(encoding="utf-8").splitlines()]
-    return {name: {int(frame): found for frame, _, found in (word.partition(":") for word in words)} for name, *words in lines}
+    return {
+        name: {int(frame): hash_text for frame, _, hash_text in (word.partition(":") for word in words)} for name, *words in lines
+    }
 
 
-def kept(frame: int) -> bool:
+def is_recorded_frame(frame: int) -> bool:
     """Whether a frame is one of those that are recorded."""
     return frame & (frame - 1) == 0
 
 
 def difference(scene: Path, frames: int | None = None) -> str | None:
     """Where a scene first differs from what is recorded, in words; None where it does not."""
-    wanted = recorded().get(named(scene))
-    if wanted is None:
+    expected = recorded().get(named(scene))
+    if expected is None:
         return f"{named(scene)} is not recorded: python tests/state_hashes.py --record"
-    for frame, found in frames_of(scene, frames, None):
-        if frame in wanted and wanted[frame] != found:
-            return f"{named(scene)} differs at frame {frame}: {found}, recorded was {wanted[frame]}"
+    for frame, frame_hash in frames_of(scene, frames, None):
+        if frame in expected and expected[frame] != frame_hash:
+            return f"{named(scene)} differs at frame {frame}: {frame_hash}, recorded was {expected[frame]}"
     return None
 
 
@@ -84,23 +90,27 @@ def main() -> int:
     task.add_argument("--compare", action="store_true")
     task.add_argument("--record", action="store_true")
     parser.add_argument("--feet", action="store_true")
-    asked = parser.parse_args()
+    options = parser.parse_args()
     if os.environ.get("COMPILED") == "oldest":
         machine.host = lambda: machine.Target("x86_64-unknown-linux-gnu", "x86-64", "")
-    if asked.feet:
-        return _feet(asked.scenes, record=asked.record)
+    if options.feet:
+        return _feet(options.scenes, record=options.record)
     known = recorded() if RECORDED.exists() else {}
     wrong = 0
-    for scene in asked.scenes:
-        if asked.compare:
-            told = difference(scene, asked.frames)
-            wrong += told is not None
-            print(told or f"{named(scene)}: as recorded", flush=True)
+    for scene in options.scenes:
+        if options.compare:
+            message = difference(scene, options.frames)
+            wrong += message is not None
+            print(message or f"{named(scene)}: as recorded", flush=True)
             continue
-        found = [(frame, each) for frame, each in frames_of(scene, asked.frames, asked.most) if asked.most or kept(frame)]
-        print(named(scene), *(f"{frame}:{each}" for frame, each in found), flush=True)
-        known[named(scene)] = dict(found)
-        if asked.record:
+        frame_hashes = [
+            (frame, each)
+            for frame, each in frames_of(scene, options.frames, options.most)
+            if options.most or is_recorded_frame(frame)
+        ]
+        print(named(scene), *(f"{frame}:{each}" for frame, each in frame_hashes), flush=True)
+        known[named(scene)] = dict(frame_hashes)
+        if options.record:
             _write(RECORDED, known)
     return 1 if wrong else 0
 
@@ -109,11 +119,11 @@ def _feet(scenes: Sequence[Path], *, record: bool) -> int:
     known = recorded(RECORDED_FEET) if RECORDED_FEET.exists() else {}
     wrong = 0
     for scene in scenes:
-        found, name = feet_of(scene), named(scene)
-        wrong += found != known.get(name, {})
-        print(f"{name}: {'as recorded' if found == known.get(name, {}) else 'differs'}", flush=True)
-        if record and found:
-            known[name] = found
+        feet_hashes, name = feet_of(scene), named(scene)
+        wrong += feet_hashes != known.get(name, {})
+        print(f"{name}: {'as recorded' if feet_hashes == known.get(name, {}) else 'differs'}", flush=True)
+        if record and feet_hashes:
+            known[name] = feet_hashes
     if record:
         _write(RECORDED_FEET, known)
     return 1 if wrong and not record else 0

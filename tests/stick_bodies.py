@@ -50,8 +50,8 @@ GAITS: dict[int, list[tuple[str, float, float, float, float, list[float]]]] = {
 
 def _bone(a: Floats, b: Floats, thick: float) -> trimesh.Trimesh:
     """A prism of four sides from one point to another."""
-    way = b - a
-    along = way / np.linalg.norm(way)
+    displacement = b - a
+    along = displacement / np.linalg.norm(displacement)
     side = np.cross(along, (0.3, 0.2, 0.93))
     side /= np.linalg.norm(side)
     over = np.cross(along, side)
@@ -111,7 +111,7 @@ def write_body(folder: Path, legs: int, name: str = "body.json") -> Path:
 # ---- grounds, each with where they begin
 
 
-def _strip(points: Floats, wide: float) -> Mesh:
+def _band_mesh(points: Floats, wide: float) -> Mesh:
     """A band `wide` across z through points (k, 2) of x and y, its faces seen from the left of the way."""
     k, lines = len(points), 9
     z = np.linspace(-wide / 2, wide / 2, lines)
@@ -139,7 +139,7 @@ def overhang() -> Mesh:
     turn = np.linspace(-np.pi / 2, np.pi / 2, 20)
     rise = np.column_stack([20 + 14 * np.cos(turn), 14 + 14 * np.sin(turn)])
     points = np.concatenate([np.array([[-50, 0], [-25, 0], [0, 0], [12, 0]]), rise, np.array([[10, 28], [-10, 28], [-50, 28]])])
-    return _strip(points, 90.0)
+    return _band_mesh(points, 90.0)
 
 
 def can(inside: bool = False) -> Mesh:
@@ -216,14 +216,14 @@ def save(mesh: Mesh, path: Path) -> None:
 
 def write_scene(
     folder: Path, legs: int = 6, ground: str | Mesh = "flat", *, count: int = 20, speed: float = 24.0, pauses: bool = True,
-    seed: int = 3, more: str = "", things: Sequence[str] = (), program: str = "",
+    seed: int = 3, world_lines: str = "", things: Sequence[str] = (), program: str = "",
 ) -> Path:  # fmt: skip
     """A scene in which bodies walk about on a ground and now and then stand."""
     folder.mkdir(parents=True, exist_ok=True)
     save(GROUNDS[ground]() if isinstance(ground, str) else ground, folder / "ground.ply")
     write_body(folder, legs)
     leave = "when chance 40 %/s -> pause" if pauses else ""
-    text = program or PROGRAM.format(size=SIZE, speed=speed, leave=leave, more=more)
+    text = program or PROGRAM.format(size=SIZE, speed=speed, leave=leave, more=world_lines)
     (folder / "walker.ant").write_text(text)
     lines = "".join(f"  {line}\n" for line in things)
     (folder / "scene.yaml").write_text(SCENE.format(seed=seed, things=lines, count=count))

@@ -97,13 +97,13 @@ def _nodes(tree: ast.Module) -> list[ast.AST]:
 
 def _docstrings(tree: ast.Module) -> dict[int, ast.Constant]:
     """The docstrings of a module by the identity of their nodes."""
-    found = {}
+    docstring_by_id = {}
     for node in _nodes(tree):
         if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef) and node.body:
             first = node.body[0]
             if isinstance(first, ast.Expr) and isinstance(first.value, ast.Constant) and isinstance(first.value.value, str):
-                found[id(first.value)] = first.value
-    return found
+                docstring_by_id[id(first.value)] = first.value
+    return docstring_by_id
 
 
 def uses_in_docstrings(path: str, tree: ast.Module) -> Iterator[Use]:

@@ -15,7 +15,7 @@ import open3d
 import trimesh
 from meshes import Mesh
 from numpy.typing import NDArray
-from torture_walks import BODY, HAIR, Seen, above, crowd, parts, shapes, wander, winding
+from torture_walks import BODY, HAIR, WalkMeasures, above, crowd, parts, shapes, wander, winding
 
 from antdsl.ground.mesh.surface import MeshGround
 from antdsl.ground.mesh.surroundings import LIFT
@@ -26,7 +26,7 @@ SHEETS = ("pot", "moebius", "rag", "ground")
 TALL = 150.0  # mm: as long as a mesh from a file is made
 EVERY = 25  # steps between two looks at who is in what
 FINE = 1e-9  # mm: nearer to feet than any wall that they have not gone through, and more than float64 rounds; rays need a hair
-Asked = Callable[[MeshGround, Move], NDArray[np.bool_]]
+SideTest = Callable[[MeshGround, Move], NDArray[np.bool_]]
 
 
 class Rooms:
@@ -41,8 +41,8 @@ class Rooms:
 
     def parity(self, points: NDArray[np.float64]) -> NDArray[np.bool_]:
         """Bool (meshes, n)."""
-        asked = points.astype(np.float32)
-        return np.stack([s.compute_occupancy(asked, nthreads=1, nsamples=3).numpy() > 0 for s in self.scenes])
+        points32 = points.astype(np.float32)
+        return np.stack([s.compute_occupancy(points32, nthreads=1, nsamples=3).numpy() > 0 for s in self.scenes])
 
     def winding(self, points: NDArray[np.float64]) -> NDArray[np.int64]:
         """Whole numbers (meshes, n)."""
@@ -78,7 +78,7 @@ class Walls:
             self.through |= set(rows[(now != self.began[:, rows]).any(axis=0)].tolist())
 
 
-def begun(ground: MeshGround, mesh: Mesh, closed: list[Mesh], n: int, rng: np.random.Generator) -> Move:
+def start_crowd(ground: MeshGround, mesh: Mesh, closed: list[Mesh], n: int, rng: np.random.Generator) -> Move:
     """A crowd. Where stones are sunk in each other nobody begins in the sunken part of one; nor where feet are in another room
     than the eye above them, that looks out for the other stones."""
     begin = crowd(ground, [mesh], n if len(closed) < 2 else 3 * n, rng)
@@ -108,7 +108,7 @@ class Walked:
     """What is seen of a crowd on a shape: of how many, how many of them went through a wall, how many met no surface at some
     step (nobody who walks over triangles should: borders are not counted), and seconds that each move took."""
 
-    seen: Seen
+    measures: WalkMeasures
     agents: int
     through: int
     missed: int
@@ -117,9 +117,9 @@ class Walked:
 
 def long_walk(name: str, mesh: Mesh, n: int, steps: int, by_rays: bool = False) -> Walked:
     """A crowd that begins evenly over a shape and walks at random."""
-    ground, rng, seen = MeshGround({name: mesh}, by_rays), np.random.default_rng(4), Seen()
+    ground, rng, measures = MeshGround({name: mesh}, by_rays), np.random.default_rng(4), WalkMeasures()
     closed = solid(name, mesh)
-    begin = begun(MeshGround({name: mesh}), mesh, closed, n, rng)
+    begin = start_crowd(MeshGround({name: mesh}), mesh, closed, n, rng)
     n = len(begin.up)
     walls = Walls.of(closed, ground, begin, HAIR if by_rays else FINE) if closed else None
     at, sides = begin, side(ground, begin)
@@ -127,9 +127,9 @@ def long_walk(name: str, mesh: Mesh, n: int, steps: int, by_rays: bool = False) 
     steady = wander(ground, begin, steps, rng)
     for k in range(steps):
         start = time.perf_counter()
-        before, at = next(steady)
+        previous, at = next(steady)
         seconds.append(time.perf_counter() - start)
-        seen.look(ground, [mesh], before, at)
+        measures.look(ground, [mesh], previous, at)
         missed |= at.blocked if by_rays else at.lost
         if walls is not None and k % EVERY == EVERY - 1:
             walls.look(ground, at)
@@ -138,7 +138,7 @@ def long_walk(name: str, mesh: Mesh, n: int, steps: int, by_rays: bool = False) 
     if walls is not None:
         walls.end(ground, at)
         through[list(walls.through)] = True
-    return Walked(seen, n, int(through.sum()), int(missed.sum()), seconds)
+    return Walked(measures, n, int(through.sum()), int(missed.sum()), seconds)
 
 
 def side(ground: MeshGround, at: Move) -> NDArray[np.bool_]:
@@ -147,10 +147,10 @@ def side(ground: MeshGround, at: Move) -> NDArray[np.bool_]:
 
 def from_file(path: Path) -> Mesh:
     """A mesh of a file, made TALL and put at the origin."""
-    made = trimesh.load(path, process=False, force="mesh")
-    vertices = np.asarray(made.vertices, np.float64)
+    loaded = trimesh.load(path, process=False, force="mesh")
+    vertices = np.asarray(loaded.vertices, np.float64)
     vertices = (vertices - vertices.mean(axis=0)) * (TALL / np.ptp(vertices, axis=0).max())
-    return vertices, np.asarray(made.faces, np.int32)
+    return vertices, np.asarray(loaded.faces, np.int32)
 
 
 def main() -> None:
@@ -158,15 +158,16 @@ def main() -> None:
     parser.add_argument("names", nargs="*", default=list(SHAPES.SHAPES))
     parser.add_argument("--agents", type=int, default=5000)
     parser.add_argument("--steps", type=int, default=5000)
-    asked = parser.parse_args()
+    options = parser.parse_args()
     print("shape      agents  steps       s  surface/body      tilt  lost  through      mm")
-    for name in asked.names:
+    for name in options.names:
         label, mesh = (name, SHAPES.SHAPES[name]()) if name in SHAPES.SHAPES else (Path(name).stem, from_file(Path(name)))
-        walked = long_walk(label, mesh, asked.agents, asked.steps)
-        seen = walked.seen
+        walked = long_walk(label, mesh, options.agents, options.steps)
+        measures = walked.measures
         print(
-            f"{label:10} {walked.agents:6} {asked.steps:6} {sum(walked.seconds):7.0f} {seen.away:13.1e} {seen.tilt:9.1e} "
-            f"{seen.lost:5} {walked.through:8} {seen.moved:7.0f}",
+            f"{label:10} {walked.agents:6} {options.steps:6} {sum(walked.seconds):7.0f} "
+            f"{measures.away:13.1e} {measures.tilt:9.1e} "
+            f"{measures.lost:5} {walked.through:8} {measures.moved:7.0f}",
             flush=True,
         )
 

@@ -54,8 +54,8 @@ def wander(ground: MeshGround, at: Move, steps: int, rng: np.random.Generator, t
         heading /= np.linalg.norm(heading, axis=1, keepdims=True)
         # Who has come to a border turns round, or it would stand there for ever.
         heading = np.where(at.blocked[:, None], -heading, heading)
-        before, at = at, ground.move(at.footing, heading * STEP, heading, at.up, BODY, threads)
-        yield before, at
+        previous, at = at, ground.move(at.footing, heading * STEP, heading, at.up, BODY, threads)
+        yield previous, at
 
 
 def above(ground: MeshGround, at: Move, high: float = HAIR) -> NDArray[np.float64]:
@@ -95,7 +95,7 @@ def depth(mesh: Mesh, points: NDArray[np.float64]) -> float:
 
 
 @dataclass(slots=True)
-class Seen:
+class WalkMeasures:
     """The worst of a run: distance to the surface in body lengths, heading against normal, jumps in mm, how many were lost."""
 
     away: float = 0.0
@@ -104,16 +104,16 @@ class Seen:
     lost: int = 0
     moved: float = 0.0
 
-    def look(self, ground: MeshGround, meshes: list[Mesh], before: Move, at: Move) -> None:
+    def look(self, ground: MeshGround, meshes: list[Mesh], previous: Move, at: Move) -> None:
         corners = ground.triangles[0][ground.triangles[1][ground.on_faces(at.footing)[0]]]
         written = at.position.astype(np.float32).astype(np.float64)
         away = np.linalg.norm(nearest_on_triangle(written, corners) - written, axis=1)
-        gone = np.linalg.norm(at.position - before.position, axis=1)
+        distances = np.linalg.norm(at.position - previous.position, axis=1)
         self.away = max(self.away, float(away.max()) / BODY)
         self.tilt = max(self.tilt, float(np.abs((at.heading * at.up).sum(axis=1)).max()))
-        self.jump = max(self.jump, float(gone.max()))
+        self.jump = max(self.jump, float(distances.max()))
         self.lost += int(np.count_nonzero(at.lost | ~np.isfinite(at.position).all(axis=1)))
-        self.moved += float(gone.mean())
+        self.moved += float(distances.mean())
 
     def good(self) -> None:
         assert self.away < 1e-4 and self.tilt < 1e-4 and self.lost == 0, self

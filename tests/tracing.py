@@ -135,8 +135,8 @@ def read_trace(text: str, trace: Trace, cwd: Path) -> Trace:
     """Fill a trace from what strace wrote of a command that was started in `cwd`."""
     waiting: dict[str, str] = {}
     for line in text.splitlines():
-        if (resumed := _RESUMED.match(line)) and (begun := waiting.pop(resumed[1] + resumed[2], None)) is not None:
-            line = begun + resumed[3]
+        if (resumed := _RESUMED.match(line)) and (first_part := waiting.pop(resumed[1] + resumed[2], None)) is not None:
+            line = first_part + resumed[3]
         if not (call := _STARTED.match(line)):
             continue
         if line.endswith(_UNFINISHED):
@@ -155,13 +155,13 @@ def _add(trace: Trace, name: str, rest: str, cwd: Path) -> None:
         return
     paths = [str(Path(_decoded(folder) or cwd) / _decoded(name)) for folder, name in _PATH.findall(rest)]
     result = _RESULT.search(rest)
-    done = result is not None and int(result[1]) >= 0
+    has_succeeded = result is not None and int(result[1]) >= 0
     if name in ("execve", "execveat"):
         trace.programs.append(_decoded(_PATH.findall(rest)[0][1]))
-    elif name in CHANGES and done:
+    elif name in CHANGES and has_succeeded:
         trace.changed += paths[-1:] if name.startswith("symlink") else paths
     elif name not in CHANGES:
-        file = _decoded(result[2]) if done and result is not None and result[2] else None
+        file = _decoded(result[2]) if has_succeeded and result is not None and result[2] else None
         flags = rest.rsplit('"', 1)[-1]
         writes = name == "creat" or any(flag in flags for flag in ("O_WRONLY", "O_RDWR", "O_CREAT", "O_TRUNC"))
         trace.opened.append(Opened(paths[0], file, writes, "O_DIRECTORY" in flags or "O_PATH" in flags))
@@ -170,4 +170,4 @@ def _add(trace: Trace, name: str, rest: str, cwd: Path) -> None:
 def _decoded(text: str) -> str:
     """The bytes that strace wrote as hexadecimal numbers, so that nothing in a name is mistaken for its own marks."""
     data = text.encode("utf-8", "surrogateescape")
-    return _ESCAPE.sub(lambda found: bytes([int(found[1], 16)]), data).decode("utf-8", "replace")
+    return _ESCAPE.sub(lambda match: bytes([int(match[1], 16)]), data).decode("utf-8", "replace")

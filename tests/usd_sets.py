@@ -87,7 +87,7 @@ def roller(frame: float) -> tuple[np.ndarray, float]:
     return np.array([-10.0 + 16.0 * share, 2.5, 1.0]), 200.0 * share
 
 
-def about(axis: int, degrees: float) -> np.ndarray:
+def rotation_about(axis: int, degrees: float) -> np.ndarray:
     """A turn as a matrix (3, 3) for columns."""
     c, s = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
     b, d = (axis + 1) % 3, (axis + 2) % 3
@@ -96,22 +96,22 @@ def about(axis: int, degrees: float) -> np.ndarray:
     return matrix
 
 
-UPRIGHT = about(0, 90.0)  # y up to z up
+UPRIGHT = rotation_about(0, 90.0)  # y up to z up
 
 
 def baked(points: np.ndarray) -> np.ndarray:
     """Points of the set, cm and z up in the set's own space, in mm and y up in the world."""
-    world = points.astype(np.float64) @ about(2, TURN).T + SHIFT
+    world = points.astype(np.float64) @ rotation_about(2, TURN).T + SHIFT
     return np.stack([world[:, 0], world[:, 2], -world[:, 1]], axis=1) * 10
 
 
 def stone_places() -> list[tuple[np.ndarray, np.ndarray, float]]:
     """For each stone its turn (3, 3) from its own y-up space, its place in the set and its size; sunk to the middle."""
-    found = []
+    placements = []
     for x, y, turn, scale in STONES:
         at = np.array([x, y, float(height(np.array(x), np.array(y)))], np.float32).astype(np.float64)
-        found.append((about(2, turn) @ UPRIGHT, at, float(np.float32(scale))))
-    return found
+        placements.append((rotation_about(2, turn) @ UPRIGHT, at, float(np.float32(scale))))
+    return placements
 
 
 def write_obj(path: Path, points: np.ndarray, faces: np.ndarray) -> None:
@@ -126,14 +126,18 @@ def bake(folder: Path) -> Path:
     points, quads = ground()
     write_obj(folder / "ground.obj", baked(points), quads)
     points, faces = stone()
-    places = [baked((points.astype(np.float64) * scale) @ turn.T + at) for turn, at, scale in stone_places()]
+    point_sets = [baked((points.astype(np.float64) * scale) @ turn.T + at) for turn, at, scale in stone_places()]
     write_obj(
-        folder / "stones.obj", np.concatenate(places), np.concatenate([faces + k * len(points) for k in range(len(places))])
+        folder / "stones.obj",
+        np.concatenate(point_sets),
+        np.concatenate([faces + k * len(points) for k in range(len(point_sets))]),
     )
     for frame in FRAMES:
         at, turn = roller(frame)
         write_obj(
-            folder / f"roller.{frame:04d}.obj", baked(points.astype(np.float64) @ (about(1, turn) @ UPRIGHT).T * 0.75 + at), faces
+            folder / f"roller.{frame:04d}.obj",
+            baked(points.astype(np.float64) @ (rotation_about(1, turn) @ UPRIGHT).T * 0.75 + at),
+            faces,
         )
     (folder / "way.json").write_text(json.dumps(baked(bezier(CONTROL.astype(np.float64))).tolist()))
     food = [
@@ -148,14 +152,14 @@ def bake(folder: Path) -> Path:
 
 def bezier(control: np.ndarray) -> np.ndarray:
     """Sixteen points a piece, by de Casteljau's halving of straight lines."""
-    found = []
+    curve_points = []
     for start in range(0, len(control) - 1, 3):
         for t in np.arange(16) / 16:
             line = control[start : start + 4]
             while len(line) > 1:
                 line = line[:-1] * (1 - t) + line[1:] * t
-            found.append(line[0])
-    return np.array([*found, control[-1]])
+            curve_points.append(line[0])
+    return np.array([*curve_points, control[-1]])
 
 
 def write_usd(root: Path, scene_folder: Path) -> Path:
@@ -178,9 +182,9 @@ def write_usd(root: Path, scene_folder: Path) -> Path:
     UsdGeom.SetStageMetersPerUnit(stage, 0.01)
     UsdGeom.SetStageUpAxis(stage, "Z")
     stage.SetTimeCodesPerSecond(24)
-    whole = UsdGeom.Xform.Define(stage, "/set")
-    whole.AddTranslateOp().Set(Gf.Vec3d(*SHIFT))
-    whole.AddRotateZOp(UsdGeom.XformOp.PrecisionDouble).Set(TURN)
+    set_prim = UsdGeom.Xform.Define(stage, "/set")
+    set_prim.AddTranslateOp().Set(Gf.Vec3d(*SHIFT))
+    set_prim.AddRotateZOp(UsdGeom.XformOp.PrecisionDouble).Set(TURN)
     # the ground is wound the other way and says so, and lies in a space that is moved and moved back
     land = UsdGeom.Xform.Define(stage, "/set/land")
     land.AddTranslateOp().Set(Gf.Vec3d(1, 2, 3))
@@ -195,8 +199,8 @@ def write_usd(root: Path, scene_folder: Path) -> Path:
     earth.CreateOrientationAttr("leftHanded")
 
     UsdGeom.Xform.Define(stage, "/set/stones")
-    places = stone_places()
-    for k, (_, at, scale) in enumerate(places[:2]):  # native instances
+    placements = stone_places()
+    for k, (_, at, scale) in enumerate(placements[:2]):  # native instances
         one = UsdGeom.Xform.Define(stage, f"/set/stones/stone_{k}")
         one.AddTranslateOp().Set(Gf.Vec3d(*at))
         one.AddRotateZOp(UsdGeom.XformOp.PrecisionDouble).Set(STONES[k][2])
@@ -208,13 +212,13 @@ def write_usd(root: Path, scene_folder: Path) -> Path:
     model = stage.OverridePrim("/set/stones/strewn/models/stone")
     model.GetReferences().AddReference("./parts/stone.usdc")
     strewn.CreatePrototypesRel().SetTargets([model.GetPath()])
-    strewn.CreateProtoIndicesAttr([0] * (len(places) - 2) + [0])
-    strewn.CreatePositionsAttr([*(Gf.Vec3f(*at) for _, at, _ in places[2:]), Gf.Vec3f(0, 0, 50)])
-    turns = [Gf.Rotation(Gf.Vec3d(1, 0, 0), 90) * Gf.Rotation(Gf.Vec3d(0, 0, 1), STONES[k][2]) for k in range(2, len(places))]
+    strewn.CreateProtoIndicesAttr([0] * (len(placements) - 2) + [0])
+    strewn.CreatePositionsAttr([*(Gf.Vec3f(*at) for _, at, _ in placements[2:]), Gf.Vec3f(0, 0, 50)])
+    turns = [Gf.Rotation(Gf.Vec3d(1, 0, 0), 90) * Gf.Rotation(Gf.Vec3d(0, 0, 1), STONES[k][2]) for k in range(2, len(placements))]
     quats = [Gf.Quatf(turn.GetQuat()) for turn in turns]
     strewn.CreateOrientationsfAttr([*quats, Gf.Quatf(1)])
-    strewn.CreateScalesAttr([*(Gf.Vec3f(scale) for _, _, scale in places[2:]), Gf.Vec3f(1)])
-    strewn.CreateIdsAttr([*range(len(places) - 2), 99])
+    strewn.CreateScalesAttr([*(Gf.Vec3f(scale) for _, _, scale in placements[2:]), Gf.Vec3f(1)])
+    strewn.CreateIdsAttr([*range(len(placements) - 2), 99])
     strewn.CreateInvisibleIdsAttr([99])
     hidden = UsdGeom.Mesh.Define(stage, "/set/stones/hidden")
     UsdGeom.Imageable(hidden).MakeInvisible()
@@ -236,11 +240,11 @@ def write_usd(root: Path, scene_folder: Path) -> Path:
         spin.Set(turn, frame)
     ball.GetPrim().GetReferences().AddReference("./parts/stone.usdc")
 
-    way = UsdGeom.BasisCurves.Define(stage, "/set/way")
-    way.CreateTypeAttr("cubic")
-    way.CreateBasisAttr("bezier")
-    way.CreatePointsAttr(Vt.Vec3fArray.FromNumpy(CONTROL))
-    way.CreateCurveVertexCountsAttr([len(CONTROL)])
+    path_curve = UsdGeom.BasisCurves.Define(stage, "/set/way")
+    path_curve.CreateTypeAttr("cubic")
+    path_curve.CreateBasisAttr("bezier")
+    path_curve.CreatePointsAttr(Vt.Vec3fArray.FromNumpy(CONTROL))
+    path_curve.CreateCurveVertexCountsAttr([len(CONTROL)])
     food = UsdGeom.Points.Define(stage, "/set/food")
     food.CreatePointsAttr(Vt.Vec3fArray.FromNumpy(FOOD))
     food.CreateWidthsAttr([1.2, 1.2])

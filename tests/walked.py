@@ -14,7 +14,7 @@ from antdsl.ground.mesh.boxes import EDGE, FARTHEST, LEVEL
 from antdsl.ground.mesh.crossings import LEANING, OFF, STEEP
 from antdsl.ground.mesh.stretches import CROSSINGS, GRAIN, HOPS, INWARD, STUCK
 from antdsl.ground.mesh.surface import MeshGround
-from antdsl.ground.mesh.surroundings import DEEP, GAP, HIGH, LIFT, STEEPEST, TURNED
+from antdsl.ground.mesh.surroundings import DEPTH, GAP, HIGH, LIFT, STEEPEST, TURNED
 from antdsl.ground.mesh.topology import NO_LINK
 
 Floats = NDArray[np.float64]
@@ -28,7 +28,7 @@ class Hop:
     face: int
     start: Floats
     up: Floats
-    way: Floats
+    direction: Floats
     end: Floats
     above: Floats
 
@@ -41,7 +41,7 @@ class Landing:
     face: int
     place: Floats
     side: float
-    gone: float
+    distance: float
     rise: float = 0.0
     shut: bool = False
 
@@ -54,13 +54,13 @@ class Walker:
     face: int
     place: Floats
     side: float
-    way: Floats
+    direction: Floats
     heading: Floats
     left: float
     body: float
     over: float
     straight: bool
-    gone: float = 0.0
+    travelled: float = 0.0
     blocked: bool = False
     spent: int = 0
     hops: list[Hop] = field(default_factory=list)
@@ -120,8 +120,8 @@ class Reference:
         level = np.abs(down) <= LEVEL * size * self.sides[near]
         with np.errstate(all="ignore"):
             part = (off * across).sum(axis=1) / down
-            there = off + part[:, None] * step
-            one, two = (there * self.second[near]).sum(axis=1), (there * self.third[near]).sum(axis=1)
+            hit_offset = off + part[:, None] * step
+            one, two = (hit_offset * self.second[near]).sum(axis=1), (hit_offset * self.third[near]).sum(axis=1)
             hit = ~level & (one >= -EDGE) & (two >= -EDGE) & (one + two <= 1 + EDGE) & (part >= 0) & (part <= most)
         if not hit.any():
             return -1, np.inf, origin
@@ -146,10 +146,10 @@ class Reference:
     def beyond_edge(self, face: int, side: float, edge: int) -> int:
         return int(self.table.link[1 if side < 0 else 0, 3 * face + edge])
 
-    def together(self, face: int, side: float, other: int, there: float) -> bool:
+    def together(self, face: int, side: float, other: int, other_side: float) -> bool:
         """Whether sides of faces are of two pieces, or may be come to from each other in one."""
-        way, piece = self.table.way, self.table.piece
-        return bool(piece[face] != piece[other] or way[int(side < 0), face] == way[int(there < 0), other])
+        side_groups, piece = self.table.way, self.table.piece
+        return bool(piece[face] != piece[other] or side_groups[int(side < 0), face] == side_groups[int(other_side < 0), other])
 
     def edge(self, face: int, k: int) -> tuple[Floats, Floats, Floats]:
         """Where the edge opposite a corner begins, its direction, and that across it out of the face."""
@@ -172,8 +172,8 @@ class Reference:
     ) -> Step:
         normal = self.normal[face]
         side = -1.0 if up @ normal < 0 else 1.0
-        way, left = self._laid(face, wish, self.table.axis1[:, face])
-        w = Walker(face, place, side, way, self._laid(face, heading, way)[0], left, body, over * side, straight)
+        direction, left = self._laid(face, wish, self.table.axis1[:, face])
+        w = Walker(face, place, side, direction, self._laid(face, heading, direction)[0], left, body, over * side, straight)
         self.look_around(place, 2 * left + 2 * body + 1e3 * self.scale.noise)
         if w.over != 0 and w.left > 0:
             self._hang(w)
@@ -190,7 +190,7 @@ class Reference:
         ahead = ahead - (ahead @ smooth) * smooth
         position = w.place + w.over * up
         ahead = ahead / _length(ahead)
-        return Step(w.face, position, smooth, ahead, w.way, w.gone, w.blocked, w.over * w.side, w.hops)
+        return Step(w.face, position, smooth, ahead, w.direction, w.travelled, w.blocked, w.over * w.side, w.hops)
 
     def _laid(self, face: int, v: Floats, otherwise: Floats) -> tuple[Floats, float]:
         """The direction of a vector in a face, and its length there: its own up to 60 degrees off the face, then less."""
@@ -205,8 +205,8 @@ class Reference:
         until, out = np.inf, 0
         for k in range(3):
             one, _, across = self.edge(w.face, k)
-            if across @ w.way > 0:
-                far = max(float((one - w.place) @ across), 0.0) / float(across @ w.way)
+            if across @ w.direction > 0:
+                far = max(float((one - w.place) @ across), 0.0) / float(across @ w.direction)
                 if far < until:
                     until, out = far, k
         length = min(until, w.left)
@@ -214,8 +214,8 @@ class Reference:
         if landing is not None:
             self._land(w, landing)
             return
-        w.place = self.onto(w.face, w.place + w.way * length)
-        w.gone += length
+        w.place = self.onto(w.face, w.place + w.direction * length)
+        w.travelled += length
         if until >= w.left:
             w.left = 0.0
             return
@@ -225,27 +225,27 @@ class Reference:
             self._border(w, out)
             return
         start, along, across = self.edge(w.face, out)
-        there, other = link >> 3, (link >> 1) & 3
-        begin, onward, outward = self.edge(there, other)
+        next_face, other = link >> 3, (link >> 1) & 3
+        begin, onward, outward = self.edge(next_face, other)
         if onward @ along < 0:
-            begin, onward = self.corners[there, (other + 2) % 3], -onward
-        turned = [(v @ along) * onward - (v @ across) * outward for v in (w.way, w.heading)]
-        w.place = self.onto(there, begin + onward * float((w.place - start) @ along))
-        w.face, w.way, w.heading = there, *turned
+            begin, onward = self.corners[next_face, (other + 2) % 3], -onward
+        turned = [(v @ along) * onward - (v @ across) * outward for v in (w.direction, w.heading)]
+        w.place = self.onto(next_face, begin + onward * float((w.place - start) @ along))
+        w.face, w.direction, w.heading = next_face, *turned
         w.side = -w.side if link & 1 else w.side
 
     def _land(self, w: Walker, to: Landing) -> None:
-        previous, following, way = self.normal[w.face] * w.side, self.normal[to.face] * to.side, w.way
-        w.hops.append(Hop(to.face, w.place + previous * to.rise, previous, way, to.place, following))
+        previous, following, direction = self.normal[w.face] * w.side, self.normal[to.face] * to.side, w.direction
+        w.hops.append(Hop(to.face, w.place + previous * to.rise, previous, direction, to.place, following))
         turned = []
-        for v in (w.way, w.heading):
-            v = _turned(v, previous, following, way)
+        for v in (w.direction, w.heading):
+            v = _turned(v, previous, following, direction)
             flat = v - (v @ following) * following
             size = _length(flat)
             turned.append(flat / size if size > 1e-9 else self.table.axis1[:, to.face])
-        w.way, w.heading = turned
+        w.direction, w.heading = turned
         w.face, w.place, w.side = to.face, to.place, to.side
-        w.left, w.gone = max(w.left - to.gone, 0.0), w.gone + to.gone
+        w.left, w.travelled = max(w.left - to.distance, 0.0), w.travelled + to.distance
         if to.shut:
             w.left, w.blocked = 0.0, True
         self._spend(w)
@@ -258,10 +258,10 @@ class Reference:
     def _rise(self, w: Walker, level: float) -> bool:
         most = level - w.over
         climb = min(abs(most), w.left)
-        there = climb >= abs(most)
-        w.over = level if there else w.over + np.copysign(climb, most)
-        w.left, w.gone = w.left - climb, w.gone + climb
-        return there
+        has_arrived = climb >= abs(most)
+        w.over = level if has_arrived else w.over + np.copysign(climb, most)
+        w.left, w.travelled = w.left - climb, w.travelled + climb
+        return has_arrived
 
     def _hang(self, w: Walker) -> None:
         """Go on over the border that is stepped over, or back."""
@@ -270,24 +270,24 @@ class Reference:
             np.inf if self.beyond_edge(w.face, w.side, k) != NO_LINK else v for k, v in enumerate((1 - one - two, one, two))
         ]
         edge = int(np.argmin(weights))
-        if w.way @ self.edge(w.face, edge)[2] > 0:
+        if w.direction @ self.edge(w.face, edge)[2] > 0:
             self._border(w, edge)
         elif not self._rise(w, 0.0):
             w.left = 0.0
 
     def _border(self, w: Walker, edge: int) -> None:
         landing = self.beyond(w.face, w.place, w.side, w.body, edge)
-        there = self._rise(w, 0.0 if landing is None else landing.rise)
-        if landing is not None and there and w.left >= landing.gone:
+        has_arrived = self._rise(w, 0.0 if landing is None else landing.rise)
+        if landing is not None and has_arrived and w.left >= landing.distance:
             w.over = 0.0
             self._land(w, landing)
-        elif landing is not None or not there:
-            w.blocked |= w.gone == 0
+        elif landing is not None or not has_arrived:
+            w.blocked |= w.travelled == 0
             w.left = 0.0
         else:
             _, along, across = self.edge(w.face, edge)
-            part = float(w.way @ along)
-            w.way = (-along if part < 0 else along) - INWARD * across
+            part = float(w.direction @ along)
+            w.direction = (-along if part < 0 else along) - INWARD * across
             w.left = 0.0 if w.straight else w.left * abs(part)
             w.blocked = True
             self._spend(w)
@@ -298,7 +298,7 @@ class Reference:
         """What cuts the own face, or another piece that is nearer."""
         hit = self.crossed(w, length)
         if self.table.pieces > 1:
-            other = self._other(w, length if hit is None else hit.gone)
+            other = self._other(w, length if hit is None else hit.distance)
             hit = hit if other is None else other
         return hit
 
@@ -309,27 +309,29 @@ class Reference:
         for other in cuts.other[cuts.first[own] : cuts.first[own + 1]].tolist():
             n, a = self.normal[other], self.corners[other, 0]
             begins = float(n @ (w.place - a))
-            ends = begins + float(n @ w.way) * length
+            ends = begins + float(n @ w.direction) * length
             through = (begins >= 0) != (ends >= 0) or begins * ends == 0 or (abs(ends) <= touch and abs(ends) < abs(begins))
             if not through or abs(begins) <= touch or float(((self.corners[other] - w.place) @ up).max()) <= touch:
                 continue
             previous = float(np.clip(begins / (begins - ends) if begins != ends else begins, 0, 1)) * length
-            there = w.place + w.way * previous
-            if self._within(other, there, 4 * touch) and self._leads_through(w, other, begins, there):
-                leans = -float(up @ n) / (float(n @ w.way) or 1.0)
-                result.append((previous + OFF * touch * float(np.clip(leans, -LEANING, LEANING)), other, previous, there))
+            crossing_place = w.place + w.direction * previous
+            if self._within(other, crossing_place, 4 * touch) and self._leads_through(w, other, begins, crossing_place):
+                leans = -float(up @ n) / (float(n @ w.direction) or 1.0)
+                result.append(
+                    (previous + OFF * touch * float(np.clip(leans, -LEANING, LEANING)), other, previous, crossing_place)
+                )
         if not result:
             return None
-        _, other, previous, there = min(result, key=lambda each: each[:2])
-        n, towards = self.normal[other], float(self.normal[other] @ w.way)
+        _, other, previous, crossing_place = min(result, key=lambda each: each[:2])
+        n, towards = self.normal[other], float(self.normal[other] @ w.direction)
         steep = up - (up @ n) * n
         off = steep * (OFF * touch / max(float(steep @ steep), STEEP))
         back = not self.together(own, w.side, other, -1.0 if towards > 0 else 1.0)
-        if back or self._tight(other, own, there, off):
+        if back or self._tight(other, own, crossing_place, off):
             soonest = min(each[2] for each in result)
             near = max(soonest - OFF * touch / max(abs(towards), 1 / LEANING), 0.0) if back else 0.0
-            return Landing(own, self.onto(own, w.place + w.way * near), self.side_of(own, -up), near, shut=True)
-        return Landing(other, self.onto(other, there + off), -1.0 if towards > 0 else 1.0, previous)
+            return Landing(own, self.onto(own, w.place + w.direction * near), self.side_of(own, -up), near, shut=True)
+        return Landing(other, self.onto(other, crossing_place + off), -1.0 if towards > 0 else 1.0, previous)
 
     def _within(self, face: int, place: Floats, touch: float) -> bool:
         t = self.table
@@ -337,7 +339,7 @@ class Reference:
         one, two = self.weights(face, place)
         return bool(one >= -over and two >= -over and one + two <= 1 + over)
 
-    def _leads_through(self, w: Walker, other: int, begins: float, there: Floats) -> bool:
+    def _leads_through(self, w: Walker, other: int, begins: float, crossing_place: Floats) -> bool:
         """Whether the way goes on behind a face that it comes to: where the own face only touches it, the next may fold back."""
 
         def lowest(face: int) -> float:
@@ -346,7 +348,7 @@ class Reference:
 
         if lowest(w.face) < -self.scale.touch:
             return True
-        one, two = self.weights(w.face, self.onto(w.face, there))
+        one, two = self.weights(w.face, self.onto(w.face, crossing_place))
         link = self.beyond_edge(w.face, w.side, int(np.argmin([1 - one - two, one, two])))
         return link == NO_LINK or lowest(link >> 3) < -self.scale.touch
 
@@ -365,25 +367,25 @@ class Reference:
         """Another piece within the way, seen from above the ground; where the own piece lies before it, from a grain above."""
         least = self.scale.least
         for high in (max(min(LIFT * w.body, w.left / STEEPEST), least), least):
-            landing, hidden = self._seen(w, length, high)
+            landing, hidden = self._look_ahead(w, length, high)
             if landing is None or not hidden:
                 return landing
         return landing
 
-    def _seen(self, w: Walker, length: float, high: float) -> tuple[Landing | None, bool]:
+    def _look_ahead(self, w: Walker, length: float, high: float) -> tuple[Landing | None, bool]:
         """Another piece seen from so high, below a low ceiling from half its height, or at the way's end from there down; and
         whether the own piece lies before it."""
         up, piece, fine = self.normal[w.face] * w.side, int(self.table.piece[w.face]), self.scale.fine
         roof, part, _ = self.first(w.place, up * high, fine, piece=piece)
         if roof >= 0 and (self.normal[roof] @ up < 0 or high * part > self.scale.under):
             high = high * part / 2
-        eye, step, down = w.place + up * high, w.way * length, -up * high
+        eye, step, down = w.place + up * high, w.direction * length, -up * high
         towards = step
-        face, part, there = self.first(eye, step, fine, piece=piece)
-        gone = min(part, 1.0) * length
+        face, part, hit_place = self.first(eye, step, fine, piece=piece)
+        distance = min(part, 1.0) * length
         if face < 0:
-            towards, gone = down, length
-            face, _, there = self.first(eye + step, down, 0.0, piece=piece)
+            towards, distance = down, length
+            face, _, hit_place = self.first(eye + step, down, 0.0, piece=piece)
         if face < 0:
             return None, False
         legs = [(w.place + up * fine, up * (high - fine), 0.0), (eye, step, fine)]
@@ -391,8 +393,8 @@ class Reference:
             legs.append((eye + step, down, 0.0))
         first = [self.first(*leg, own=w.face)[0] for leg in legs]
         hidden = any(each >= 0 and self.table.piece[each] == piece for each in first)
-        way = min(float(np.hypot(gone, high)), w.left)
-        return Landing(face, self.onto(face, there), self.side_of(face, towards), way), hidden
+        total_distance = min(float(np.hypot(distance, high)), w.left)
+        return Landing(face, self.onto(face, hit_place), self.side_of(face, towards), total_distance), hidden
 
     # ---- what is beyond a border
 
@@ -407,23 +409,23 @@ class Reference:
             high = (fine + part * (high - fine)) / 2
         if self.first(place + up * high, out * gap, 0.0, own=own)[0] >= 0:
             high = min(high, LIFT * body)
-        face, part, there = self.first(place + up * high, out * gap, 0.0, own=own)
+        face, part, hit_place = self.first(place + up * high, out * gap, 0.0, own=own)
         if face >= 0:
-            return self._led(own, side, face, there, out, part * gap, high, gap)
+            return self._landing_if_led(own, side, face, hit_place, out, part * gap, high, gap)
         over, fall = place + out * gap, -up * (high + HIGH * body)
-        face, part, there = self.first(over + up * high, fall, 0.0, own=own)
+        face, part, hit_place = self.first(over + up * high, fall, 0.0, own=own)
         lowest = -HIGH * body if face < 0 else high - part * (high + HIGH * body)
         if face >= 0 and self._leads(own, side, face, fall):
-            face, there, gone, rise, fall = self._nearest(own, place, up, face, lowest, high, gap, fall)
-            return self._down(own, side, place, hair, up, face, there, fall, gone, rise, gap)
-        for depth in (GAP * body, DEEP * body):
+            face, hit_place, distance, rise, fall = self._nearest(own, place, up, face, lowest, high, gap, fall)
+            return self._down(own, side, place, hair, up, face, hit_place, fall, distance, rise, gap)
+        for depth in (GAP * body, DEPTH * body):
             if lowest < -depth:
-                face, part, there = self.first(over - up * depth, -2 * gap * out, 0.0, own=own)
+                face, part, hit_place = self.first(over - up * depth, -2 * gap * out, 0.0, own=own)
                 if face >= 0:
                     if not self._leads(own, side, face, -out):
                         return None
-                    gone = abs(gap - part * 2 * gap)
-                    return self._down(own, side, place, hair, up, face, there, -out, gone, -depth, gap)
+                    distance = abs(gap - part * 2 * gap)
+                    return self._down(own, side, place, hair, up, face, hit_place, -out, distance, -depth, gap)
         return None
 
     def _nearest(
@@ -434,12 +436,12 @@ class Reference:
         level = min(plane, high) if plane > lowest else lowest
         level = 0.0 if abs(level) <= gap else level
         above = place + up * level
-        there = _nearest_of(self.corners[face], above)
-        away = _length(there - above)
-        first, part, previous = self.first(above, there - above, 0.0, own=own)
+        nearest_place = _nearest_of(self.corners[face], above)
+        away = _length(nearest_place - above)
+        first, part, previous = self.first(above, nearest_place - above, 0.0, own=own)
         if part * away < away - self.scale.fine:
-            return first, previous, part * away, level, there - above
-        return face, there, away, level, fall
+            return first, previous, part * away, level, nearest_place - above
+        return face, nearest_place, away, level, fall
 
     def _down(
         self,
@@ -449,9 +451,9 @@ class Reference:
         hair: Floats,
         up: Floats,
         face: int,
-        there: Floats,
+        hit_place: Floats,
         towards: Floats,
-        gone: float,
+        distance: float,
         rise: float,
         gap: float,
     ) -> Landing | None:
@@ -461,30 +463,30 @@ class Reference:
             fall = up * (rise + fine)
             sooner, part, hit = self.first(place + hair - up * fine, fall, 0.0, own=own)
             if sooner >= 0:
-                return self._led(own, side, sooner, hit, fall, 0.0, part * (rise + fine) - fine, gap)
-        return self._led(own, side, face, there, towards, gone, rise, gap)
+                return self._landing_if_led(own, side, sooner, hit, fall, 0.0, part * (rise + fine) - fine, gap)
+        return self._landing_if_led(own, side, face, hit_place, towards, distance, rise, gap)
 
-    def _led(
-        self, own: int, side: float, face: int, there: Floats, towards: Floats, gone: float, rise: float, gap: float
+    def _landing_if_led(
+        self, own: int, side: float, face: int, hit_place: Floats, towards: Floats, distance: float, rise: float, gap: float
     ) -> Landing | None:
         if not self._leads(own, side, face, towards):
             return None
         if abs(rise) <= gap:
-            gone, rise = float(np.hypot(gone, rise)), 0.0
-        return Landing(face, self.onto(face, there), self.side_of(face, towards), gone, rise)
+            distance, rise = float(np.hypot(distance, rise)), 0.0
+        return Landing(face, self.onto(face, hit_place), self.side_of(face, towards), distance, rise)
 
     def _leads(self, own: int, side: float, face: int, towards: Floats) -> bool:
         """Nothing leads to the other side of what is walked on, nor to what turns back below it as that side does."""
-        there = self.side_of(face, towards)
-        level = float((self.normal[face] * there) @ (self.normal[own] * side))
-        return level > TURNED and self.together(own, side, face, there)
+        to_side = self.side_of(face, towards)
+        level = float((self.normal[face] * to_side) @ (self.normal[own] * side))
+        return level > TURNED and self.together(own, side, face, to_side)
 
 
-def _turned(v: Floats, previous: Floats, following: Floats, way: Floats) -> Floats:
+def _turned(v: Floats, previous: Floats, following: Floats, direction: Floats) -> Floats:
     """A vector turned by the least turn that takes one unit vector into another (Rodrigues); half a turn goes over a way."""
     axis, cosine = _cross(previous, following), float(previous @ following)
     if cosine < -1 + 1e-9:
-        hinge = _cross(previous, way)
+        hinge = _cross(previous, direction)
         return 2 * (hinge @ v) * hinge - v
     sine = _length(axis)
     if sine == 0:

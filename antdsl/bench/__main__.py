@@ -16,10 +16,10 @@ def main() -> None:
     from antdsl.bench.measuring import measure
 
     try:
-        found = measure(Job.from_json(json.loads(sys.argv[1])))
+        measurement = measure(Job.from_json(json.loads(sys.argv[1])))
     except NoCase as why:
         raise SystemExit(str(why)) from None
-    print(json.dumps(found.as_json()))
+    print(json.dumps(measurement.as_json()))
 
 
 if __name__ == "__main__":

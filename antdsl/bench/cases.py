@@ -35,17 +35,17 @@ class Case:
     `make` returns the shot with a given number of agents (None: its own number). `agents`: the numbers of agents for its table,
     empty if the case has one size. `quick`: the numbers for a quick look. `bare`: removes the parts of the shot that bare steps
     leave out. `bound`: the hand-written frame does the same work. `sight` (mm): the radius within which neighbours are counted.
-    `told`: results that others have reported."""
+    `published_figures`: results that others have reported."""
 
     name: str
-    about: str
+    description: str
     make: Callable[[int | None], Shot]
     agents: tuple[int, ...] = ()
     quick: tuple[int, ...] = ()
     bare: Callable[[Shot], Shot] = lambda shot: shot
     bound: bool = False
     sight: float = 0.0
-    told: str = ""
+    published_figures: str = ""
 
 
 def opened(path: Path, agents: int | None, *, frames: int = FRAMES) -> Shot:
@@ -191,21 +191,21 @@ CASES: Mapping[str, Case] = {
             "500 points that wander and keep apart: the work of one node",
             _node,
             (500,),
-            told="Houdini: 58.8 frames a second in VEX, 3.98 in Python",
+            published_figures="Houdini: 58.8 frames a second in VEX, 3.98 in Python",
         ),
         Case(
             "valley",
             "the thesis' ants, the hill as a volume",
             _valley,
             (500, 15_000),
-            told="the thesis: 9 frames a second with 500, 3 with 15,000",
+            published_figures="the thesis: 9 frames a second with 500, 3 with 15,000",
         ),
         Case(
             "valley_of_meshes",
             "the same, the hill as a mesh that is not dug",
             _valley_of_meshes,
             (500, 15_000),
-            told="the thesis: about 5 frames a second more without the volume",
+            published_figures="the thesis: about 5 frames a second more without the volume",
         ),
     )
 }

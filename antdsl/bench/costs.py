@@ -150,7 +150,7 @@ class Failed(Exception):
 def measured(job: Job) -> Measured:
     """What the process finds out. Raises Failed."""
     command = module_command("antdsl.bench", json.dumps(job.as_json()))
-    done = subprocess.run(command, capture_output=True, text=True, env=module_environment())
-    if done.returncode:
-        raise Failed((done.stderr.strip() or f"the process ended with {done.returncode}").splitlines()[-1])
-    return Measured.from_json(json.loads(done.stdout.splitlines()[-1]))
+    process = subprocess.run(command, capture_output=True, text=True, env=module_environment())
+    if process.returncode:
+        raise Failed((process.stderr.strip() or f"the process ended with {process.returncode}").splitlines()[-1])
+    return Measured.from_json(json.loads(process.stdout.splitlines()[-1]))

@@ -137,17 +137,17 @@ class _Counted:
     def __hash__(self) -> int:
         return hash(self._function)
 
-    def __call__(self, *given: Any, **named: Any) -> Any:
+    def __call__(self, *arguments: Any, **named: Any) -> Any:
         if self._inside[0]:
-            return self._function(*given, **named)
+            return self._function(*arguments, **named)
         self._inside[0] = True
         try:
-            found = self._function(*given, **named)
+            result = self._function(*arguments, **named)
         finally:
             self._inside[0] = False
         self._counts["numpy_calls"] += 1
-        self._counts["numpy_bytes"] += _bytes(given) + _bytes(tuple(named.values())) + _bytes(found)
-        return found
+        self._counts["numpy_bytes"] += _bytes(arguments) + _bytes(tuple(named.values())) + _bytes(result)
+        return result
 
     def __getattr__(self, name: str) -> Any:
         value = getattr(self._function, name)
@@ -163,14 +163,14 @@ class _Counted:
 def _functions_counted(counts: Counts) -> Iterator[None]:
     counts["python_calls"] = 0
 
-    def seen(frame: FrameType, event: str, argument: object) -> None:
+    def count_call(frame: FrameType, event: str, argument: object) -> None:
         code = frame.f_code
         if event == "call" and code.co_filename.startswith(_PACKAGE) and code.co_name not in _PARTS:
             counts["python_calls"] += code.co_filename != __file__ and not code.co_filename.endswith("metering.py")
 
-    before = sys.getprofile()
-    sys.setprofile(seen)
+    previous_profiler = sys.getprofile()
+    sys.setprofile(count_call)
     try:
         yield
     finally:
-        sys.setprofile(before)
+        sys.setprofile(previous_profiler)

@@ -48,7 +48,7 @@ def _measure(job: Job) -> Measured:
     case = case_of(job.case)
     shot, compile_ = _timed(lambda: case.make(job.agents))
     bare = case.bare(shot)
-    before, _ = memory()
+    initial_memory, _ = memory()
     options = [Options(backend=_any(name), threads=job.threads) for name in job.backends]
     world, bound_s = _timed(lambda: bind(bare.plan, bare.setting, options[0]))
     _, first = _timed(lambda: step(world))
@@ -63,27 +63,27 @@ def _measure(job: Job) -> Measured:
     _, second = _timed(runners[job.backends[0]])
     for stepped in runners.values():
         stepped()
-    _, once = _timed(runners[job.backends[0]])
-    steps = job.steps or max(1, min(_MOST_STEPS, ceil(_TURN / max(once, 1e-6))))
+    _, step_seconds = _timed(runners[job.backends[0]])
+    steps = job.steps or max(1, min(_MOST_STEPS, ceil(_TURN / max(step_seconds, 1e-6))))
     most = memory()[1]  # before the hand-written frame is there
     if job.bound:
         runners[BOUND] = hand_written(agents)
     costs = _turns(runners, worlds, steps, job.turns)
-    told = [f"{name}: {sentence}" for name, each in worlds.items() for sentence in each.backend.told()]
-    kept, kept_told = _code_kept(world)
+    messages = [f"{name}: {sentence}" for name, each in worlds.items() for sentence in each.backend.told()]
+    load_seconds, load_messages = _time_code_load(world)
     return Measured(
         job=job,
         agents=agents,
         steps=steps,
         costs=costs,
-        set_up=SetUp(start, compile_, bound_s, first, code if has_code else None, kept, second),
-        memory=most - before,
+        set_up=SetUp(start, compile_, bound_s, first, code if has_code else None, load_seconds, second),
+        memory=most - initial_memory,
         state=_state_bytes(world),
         nodes=_nodes(shot),
         counts=count_step(world),
         neighbours=neighbours(world, case.sight) if case.sight else None,
-        full_run=_full_run(shot, options[0], frames_of_run(once)) if job.full_run else None,
-        told=tuple(dict.fromkeys(told + [f"{job.backends[0]}: {sentence}" for sentence in kept_told])),
+        full_run=_full_run(shot, options[0], frames_of_run(step_seconds)) if job.full_run else None,
+        told=tuple(dict.fromkeys(messages + [f"{job.backends[0]}: {sentence}" for sentence in load_messages])),
     )
 
 
@@ -96,15 +96,15 @@ def _any(name: str) -> Any:
 def _folder_for_code() -> Iterator[None]:
     """Store machine code and mesh tables in an empty folder while the context is open. Those that other runs have cached are not
     searched."""
-    before = {name: os.environ.get(name) for name in (VARIABLE, stored_tables.KIND.variable)}
+    previous_values = {name: os.environ.get(name) for name in (VARIABLE, stored_tables.KIND.variable)}
     with tempfile.TemporaryDirectory(prefix="antdsl-code-") as folder:
-        os.environ |= dict.fromkeys(before, folder)
+        os.environ |= dict.fromkeys(previous_values, folder)
         ready.forget()
         stored_tables.forget()
         try:
             yield
         finally:
-            for name, value in before.items():
+            for name, value in previous_values.items():
                 os.environ.pop(name)
                 if value is not None:
                     os.environ[name] = value
@@ -125,8 +125,8 @@ def _packages(llvm: bool) -> float:
 
 def _timed(work: Callable[[], Any]) -> tuple[Any, float]:
     began = process_time()
-    found = work()
-    return found, process_time() - began
+    result = work()
+    return result, process_time() - began
 
 
 def _stepper(world: World) -> Callable[[], None]:
@@ -141,7 +141,7 @@ def with_code(world: World) -> bool:
     return world.backend.ready is not None
 
 
-def _code_kept(world: World) -> tuple[float | None, list[str]]:
+def _time_code_load(world: World) -> tuple[float | None, list[str]]:
     """Return the CPU seconds in which a world loads machine code that another run has cached, and messages. The seconds are None
     without machine code, or if it cannot be stored; the messages say why."""
     if not with_code(world):
@@ -149,8 +149,8 @@ def _code_kept(world: World) -> tuple[float | None, list[str]]:
     ready.forget()
     again = NativeBackend(world.plan)
     _, seconds = _timed(lambda: again.have_code(world))
-    told = again.told()
-    return (None if told else seconds), told
+    messages = again.messages()
+    return (None if messages else seconds), messages
 
 
 def _turns(runners: dict[str, Callable[[], None]], worlds: dict[str, World], steps: int, turns: int) -> dict[str, Cost]:
@@ -163,18 +163,18 @@ def _turns(runners: dict[str, Callable[[], None]], worlds: dict[str, World], ste
         world.worked.clear()
     names = list(runners)
 
-    def once(number: int) -> tuple[float, float]:
+    def measure_turn(number: int) -> tuple[float, float]:
         run = runners[names[number]]
         worked, passed = process_time(), perf_counter()
         for _ in range(steps):
             run()
         return (process_time() - worked) / steps, (perf_counter() - passed) / steps
 
-    found = in_turn(once, len(names), turns, warm=0)
+    turn_costs = in_turn(measure_turn, len(names), turns, warm=0)
     count = turns * steps
     costs = {}
     for number, name in enumerate(names):
-        cpu, wall = ([turn[number][k] for turn in found] for k in (0, 1))
+        cpu, wall = ([turn[number][k] for turn in turn_costs] for k in (0, 1))
         own = worlds.get(name)
         phases = [] if own is None else [{p: s / count for p, s in each.items()} for each in (own.worked, own.timings)]
         costs[name] = Cost(cpu, wall, *phases)

@@ -47,10 +47,10 @@ def in_turn(measure: Callable[[int], T], runners: int, count: int, warm: int = 1
     for _ in range(warm):
         for runner in range(runners):
             measure(runner)
-    found = []
+    turn_costs = []
     for number in range(count):
         first = (number + 1) % runners
         order = [(first + k) % runners for k in range(runners)]
         costs = {runner: measure(runner) for runner in order}
-        found.append(tuple(costs[runner] for runner in range(runners)))
-    return found
+        turn_costs.append(tuple(costs[runner] for runner in range(runners)))
+    return turn_costs

@@ -17,17 +17,17 @@ def scaled(setting: Setting, agents: int) -> Setting:
     Raises ValueError for a world with solids, flows, maps or moving things."""
     if setting.solids or setting.flows or setting.maps or any((setting.moves.meshes, setting.moves.items, setting.moves.curves)):
         raise ValueError("only worlds of meshes, items and curves that stand still can be scaled")
-    before = sum(crowd.count for crowd in setting.crowds)
-    by = (agents / before) ** 0.5
+    previous_count = sum(crowd.count for crowd in setting.crowds)
+    by = (agents / previous_count) ** 0.5
 
     def point(place: Point) -> Point:
         return (place[0] * by, place[1] * by, place[2] * by)
 
     crowds, passed = [], 0
     for crowd in setting.crowds:
-        first = round(passed * agents / before)  # of all that come before, so that what rounding leaves does not add up
+        first = round(passed * agents / previous_count)  # of all that come before, so that what rounding leaves does not add up
         passed += crowd.count
-        count = round(passed * agents / before) - first
+        count = round(passed * agents / previous_count) - first
         at = crowd.place
         radius = None if at.radius is None else at.radius * by
         points = None if at.points is None else at.points * by

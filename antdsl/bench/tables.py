@@ -40,24 +40,24 @@ def backend_of(measured: Measured) -> str:
 
 
 SET_UP = ("start", "compile", "bind", "first step", "code", "code kept", "second step")
-HEADS = (
+COLUMNS = (
     "backend", "run, CPU ms", "run, wall ms", "run, frames/s", "its step, CPU ms", "its feet, CPU ms",
     "bare step, CPU ms", "wall ms", "frames/s", "µs per agent", "of the bound",
     "bytes per agent", "grew by, MiB", *(f"{name}, CPU s" for name in SET_UP),
 )  # fmt: skip
 
 
-def set_up_of(found: Measured) -> list[str]:
+def set_up_of(measurement: Measured) -> list[str]:
     """Return the values that SET_UP names; empty for those that do not exist."""
-    one = found.set_up
+    one = measurement.set_up
     seconds = (one.start, one.compile, one.bind, one.first, one.code, one.kept, one.second)
     return ["" if each is None else f"{each:.2f}" if each >= 0.1 else f"{each:.4f}" for each in seconds]
 
 
-def full_run_of(found: Measured) -> list[str]:
+def full_run_of(measurement: Measured) -> list[str]:
     """Return CPU and wall milliseconds and frames per second of a run, and CPU milliseconds of its step and feet. Entries are
     empty if no run was measured."""
-    run = found.full_run
+    run = measurement.full_run
     if run is None:
         return [""] * 5
     ms = [f"{1000 * each:.2f}" for each in (run.cpu, run.wall, run.step, run.feet)]
@@ -68,21 +68,21 @@ def whole_step(result: Result) -> list[list[str]]:
     """Return a row of `HEADS` for each backend. Bytes are those of the stored values of agents; `grew by` refers to the whole
     process."""
     rows = []
-    for found in result.alone:
-        name = backend_of(found)
-        cost = found.costs[name]
+    for measurement in result.alone:
+        name = backend_of(measurement)
+        cost = measurement.costs[name]
         rows.append(
             [
                 name,
-                *full_run_of(found),
+                *full_run_of(measurement),
                 f"{cost.cpu_ms:.2f}",
                 f"{cost.wall_ms:.2f}",
                 f"{1000 / max(cost.wall_ms, 1e-9):.1f}",
-                f"{1000 * cost.cpu_ms / max(found.agents, 1):.2f}",
-                ratio_text(found.ratios(name, BOUND)) if BOUND in found.costs else "",
-                f"{found.state / max(found.agents, 1):,.0f}",
-                f"{found.memory / 2**20:,.0f}",
-                *set_up_of(found),
+                f"{1000 * cost.cpu_ms / max(measurement.agents, 1):.2f}",
+                ratio_text(measurement.ratios(name, BOUND)) if BOUND in measurement.costs else "",
+                f"{measurement.state / max(measurement.agents, 1):,.0f}",
+                f"{measurement.memory / 2**20:,.0f}",
+                *set_up_of(measurement),
             ]
         )
     return rows
@@ -90,18 +90,18 @@ def whole_step(result: Result) -> list[list[str]]:
 
 def phases(result: Result) -> tuple[list[str], list[list[str]]]:
     """Return column names and rows of CPU and wall milliseconds by phase, sorted by the cost on the first backend."""
-    heads = ["phase"]
-    for found in result.alone:
-        heads += [f"{backend_of(found)}: CPU ms", "wall ms"]
+    columns = ["phase"]
+    for measurement in result.alone:
+        columns += [f"{backend_of(measurement)}: CPU ms", "wall ms"]
     first = result.alone[0].costs[backend_of(result.alone[0])]
     rows = []
     for phase in sorted(first.phases_cpu, key=lambda each: -first.phases_cpu[each]):
         row = [phase]
-        for found in result.alone:
-            cost = found.costs[backend_of(found)]
+        for measurement in result.alone:
+            cost = measurement.costs[backend_of(measurement)]
             row += [f"{1000 * each.get(phase, 0.0):.3f}" for each in (cost.phases_cpu, cost.phases_wall)]
         rows.append(row)
-    return heads, rows
+    return columns, rows
 
 
 def between(result: Result) -> list[str]:
@@ -115,23 +115,23 @@ def between(result: Result) -> list[str]:
     ]
 
 
-def told(result: Result) -> list[str]:
+def list_messages(result: Result) -> list[str]:
     """Return the messages about deviations from the request, each line once."""
     measured = [*result.alone, *([] if result.together is None else [result.together])]
     return list(dict.fromkeys(line for each in measured for line in each.told))
 
 
-def about(result: Result) -> str:
+def describe_result(result: Result) -> str:
     """Return the case, its agents and what else is known of it."""
-    found = result.alone[0]
-    case = CASES.get(found.job.case)
-    words = [f"{found.job.case}, {found.agents:,} {'agent' if found.agents == 1 else 'agents'}"]
-    words += [case.about] if case is not None else []
-    words += [f"{found.neighbours:.1f} neighbours each"] if found.neighbours is not None else []
-    words.append(f"{found.nodes:,} nodes of the plan")
-    if "elements" in found.counts:
-        words.append(f"{found.counts['elements'] / max(found.agents, 1):,.0f} operations per agent and step")
-    words += [case.told] if case is not None and case.told else []
+    measurement = result.alone[0]
+    case = CASES.get(measurement.job.case)
+    words = [f"{measurement.job.case}, {measurement.agents:,} {'agent' if measurement.agents == 1 else 'agents'}"]
+    words += [case.description] if case is not None else []
+    words += [f"{measurement.neighbours:.1f} neighbours each"] if measurement.neighbours is not None else []
+    words.append(f"{measurement.nodes:,} nodes of the plan")
+    if "elements" in measurement.counts:
+        words.append(f"{measurement.counts['elements'] / max(measurement.agents, 1):,.0f} operations per agent and step")
+    words += [case.published_figures] if case is not None and case.published_figures else []
     return "; ".join(words)
 
 
@@ -141,7 +141,7 @@ def as_json(results: Sequence[Result]) -> dict[str, Any]:
         "machine": machine(),
         "results": [
             {
-                "alone": [found.as_json() for found in result.alone],
+                "alone": [measurement.as_json() for measurement in result.alone],
                 "together": None if result.together is None else result.together.as_json(),
             }
             for result in results
@@ -160,16 +160,16 @@ def from_json(data: dict[str, Any]) -> list[Result]:
     ]
 
 
-def markdown(heads: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+def markdown(columns: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
     """A table of a page."""
-    lines = ["| " + " | ".join(heads) + " |", "|" + "---|" * len(heads)]
+    lines = ["| " + " | ".join(columns) + " |", "|" + "---|" * len(columns)]
     lines += ["| " + " | ".join(row) + " |" for row in rows]
     return "\n".join(lines) + "\n"
 
 
 def machine() -> dict[str, str]:
     """Return a description of the machine, by name: date, machine, system, versions."""
-    found = {
+    details = {
         "date": datetime.date.today().isoformat(),
         "machine": f"{processor()}, {os.cpu_count()} cores",
         "system": f"{platform.system()} {platform.machine()}",
@@ -178,7 +178,7 @@ def machine() -> dict[str, str]:
     }
     for name in PACKAGES:
         try:
-            found[name] = version(name)
+            details[name] = version(name)
         except PackageNotFoundError:
             continue
-    return found
+    return details

@@ -10,7 +10,7 @@ from functools import cached_property
 import numpy as np
 
 from antdsl.bodies.agents.boxes import rest_box
-from antdsl.bodies.agents.definition import Clip, Definition, spoken_names
+from antdsl.bodies.agents.definition import Clip, Definition, language_names
 from antdsl.bodies.agents.leg_chains import legs_of
 from antdsl.bodies.agents.packed import digest
 from antdsl.bodies.files.reading import definition_at
@@ -26,7 +26,7 @@ from antdsl.scene.load import Scene
 from antdsl.scene.setting import ClipData, LegsData, RoomData
 from antdsl.source import Span
 
-_SHOWN = 12  # names in a message
+_MOST_NAMES = 12  # names in a message
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -53,8 +53,8 @@ class Walkers(Mapping[str, LegsData]):
 
     @cached_property
     def _legs(self) -> dict[str, LegsData]:
-        found = {name: library_body(body) if isinstance(body, str) else body for name, body in self._bodies.items()}
-        return {name: legs_of(body) for name, body in found.items() if body.legs and body.gaits}
+        definitions = {name: library_body(body) if isinstance(body, str) else body for name, body in self._bodies.items()}
+        return {name: legs_of(body) for name, body in definitions.items() if body.legs and body.gaits}
 
     def __getitem__(self, species: str) -> LegsData:
         return self._legs[species]
@@ -75,9 +75,9 @@ def crowd_bodies(scene: Scene, program: Program) -> tuple[CrowdBodies, Report]:
     chosen = {line.species for line in scene.model.crowd if line.body is not None}
     worn: dict[str, Definition] = {}
     words = _library(scene, program)
-    shown = {line.species for line in scene.model.crowd if line.wear}
-    shown |= {n for n, s in program.species.items() if any(True for m in s.machines for _ in (*_plays(m), *_shows(m)))}
-    library = {name: library_body(text) for name, text in words.items() if name in shown}
+    library_species = {line.species for line in scene.model.crowd if line.wear}
+    library_species |= {n for n, s in program.species.items() if any(True for m in s.machines for _ in (*_plays(m), *_shows(m)))}
+    library = {name: library_body(text) for name, text in words.items() if name in library_species}
     for species, (text, place) in named.items():
         if text in BODY_WORDS:
             if species in library:
@@ -86,13 +86,13 @@ def crowd_bodies(scene: Scene, program: Program) -> tuple[CrowdBodies, Report]:
         if text not in files:
             files[text], findings = definition_at(text, scene.roots, place)
             report.extend(findings)
-        found = files[text]
-        if found is not None and species in program.species:
-            _check(program.species[species], found, text, place, report)
-            worn[species] = found
+        definition = files[text]
+        if definition is not None and species in program.species:
+            _check(program.species[species], definition, text, place, report)
+            worn[species] = definition
     _wears(scene, program, worn | library, report)
-    whole = {text: found for text, found in files.items() if found is not None}
-    made = CrowdBodies(
+    definitions = {text: definition for text, definition in files.items() if definition is not None}
+    bodies = CrowdBodies(
         worn,
         {
             species: {name: clip_data(clip, body) for name, clip in body.clips.items()}
@@ -100,9 +100,9 @@ def crowd_bodies(scene: Scene, program: Program) -> tuple[CrowdBodies, Report]:
         },
         {species: room_of(body) for species, body in worn.items()},
         Walkers({**worn, **words}),
-        {text: digest(body) for text, body in whole.items()},
+        {text: digest(body) for text, body in definitions.items()},
     )
-    return made, report
+    return bodies, report
 
 
 def _wears(scene: Scene, program: Program, worn: Mapping[str, Definition], report: Report) -> None:
@@ -111,15 +111,18 @@ def _wears(scene: Scene, program: Program, worn: Mapping[str, Definition], repor
     for number, line in enumerate(scene.model.crowd):
         if line.species not in program.species:
             continue
-        shown = (each for machine in program.species[line.species].machines for each in _shows(machine))
-        named = layers.setdefault(line.species, {each.layer for each in shown if isinstance(each, Wear)})
+        appearances = (each for machine in program.species[line.species].machines for each in _shows(machine))
+        named = layers.setdefault(line.species, {each.layer for each in appearances if isinstance(each, Wear)})
         dressed = tuple(dict.fromkeys(name for part in line.layers() for name in part if name))
         named |= set(dressed)
         body = worn.get(line.species)
         place = scene.span("crowd", number, "wear")
         for name in dressed:
             if body is not None and name not in body.layers:
-                near, known = nearest_name(name, list(body.layers)), ", ".join(f"`{each}`" for each in list(body.layers)[:_SHOWN])
+                near, known = (
+                    nearest_name(name, list(body.layers)),
+                    ", ".join(f"`{each}`" for each in list(body.layers)[:_MOST_NAMES]),
+                )
                 has = f"it has {known}" if known else "it has no layers"
                 words = f"the body of `{line.species}` has no layer `{name}`"
                 report.error("unknown-name", words, place, f"did you mean `{near}`? {has}" if near else has)
@@ -131,7 +134,7 @@ def _wears(scene: Scene, program: Program, worn: Mapping[str, Definition], repor
 def clip_data(clip: Clip, body: Definition) -> ClipData:
     """Return a clip's data for a run, in seconds, body lengths and cycles."""
     seconds = clip.duration
-    marks = {name: moment / seconds if seconds > 0 else 0.0 for name, moment in clip.marks.items()}
+    marks = {name: mark_time / seconds if seconds > 0 else 0.0 for name, mark_time in clip.marks.items()}
     return ClipData(seconds, clip.stride / body.length, clip.loop, marks)
 
 
@@ -157,13 +160,13 @@ def _library(scene: Scene, program: Program) -> dict[str, str]:
 
 def _named(scene: Scene) -> dict[str, tuple[str, Span]]:
     """Return the body of each species: from its first crowd line that names one, else the library body that matches its name."""
-    found: dict[str, tuple[str, Span]] = {}
+    bodies: dict[str, tuple[str, Span]] = {}
     for number, line in enumerate(scene.model.crowd):
         if line.body is not None:
-            found.setdefault(line.species, (line.body, scene.span("crowd", number, "body")))
+            bodies.setdefault(line.species, (line.body, scene.span("crowd", number, "body")))
     for number, line in enumerate(scene.model.crowd):
-        found.setdefault(line.species, (body_of(line.species), scene.span("crowd", number, "species")))
-    return found
+        bodies.setdefault(line.species, (body_of(line.species), scene.span("crowd", number, "species")))
+    return bodies
 
 
 def _check(species: Species, body: Definition, text: str, place: Span, report: Report, by_name: bool = False) -> None:
@@ -176,23 +179,23 @@ def _check(species: Species, body: Definition, text: str, place: Span, report: R
         if not name or name in names:
             return
         near = nearest_name(name, names)
-        listed = ", ".join(f"`{each}`" for each in names[:_SHOWN]) + (" …" if len(names) > _SHOWN else "")
+        listed = ", ".join(f"`{each}`" for each in names[:_MOST_NAMES]) + (" …" if len(names) > _MOST_NAMES else "")
         has = f"it has {listed}" if names else f"it has no {what}s"
         help = f"did you mean `{near}`? {has}" if near else has  # more than a word to put in place of the file's path
         lacks.setdefault(f"{what} `{name}`", (help, label))
 
     marks = [mark for clip in body.clips.values() for mark in clip.marks]
-    channels = spoken_names(each.name for each in body.rig.channels).values()
+    channels = language_names(each.name for each in body.rig.channels).values()
     for machine in species.machines:
-        for shown in _shows(machine):
-            if isinstance(shown, Wear):
-                want("layer", shown.layer, body.layers, Label(shown.span, "worn here"))
-            elif isinstance(shown, Channel):
-                want("channel", shown.channel, channels, Label(shown.span, "set here"))
+        for appearance in _shows(machine):
+            if isinstance(appearance, Wear):
+                want("layer", appearance.layer, body.layers, Label(appearance.span, "worn here"))
+            elif isinstance(appearance, Channel):
+                want("channel", appearance.channel, channels, Label(appearance.span, "set here"))
             else:
-                want("transform group", shown.group, body.groups, Label(shown.span, "turned here"))
+                want("transform group", appearance.group, body.groups, Label(appearance.span, "turned here"))
         for line in _plays(machine):
-            for clip in (line.clip, *line.ways):
+            for clip in (line.clip, *line.blend_clips):
                 want("clip", clip, body.clips, Label(line.span, "played here"))
             want("transform group", line.on, body.groups, Label(line.span, "named here"))
     for test in parts(species):
@@ -229,7 +232,7 @@ def _marks_elsewhere(species: Species, body: Definition) -> Iterator[tuple[str, 
                 if test.mark in playing.marks:
                     continue
                 has = ", ".join(f"`{each}`" for each in sorted(playing.marks)) or "no marks"
-                others = ", ".join(f"`{each}`" for each in sorted(having[test.mark])[:_SHOWN])
+                others = ", ".join(f"`{each}`" for each in sorted(having[test.mark])[:_MOST_NAMES])
                 yield (
                     f"mark `{test.mark}` in clip `{playing.name}`",
                     f"`{playing.name}` has {has}; `{test.mark}` is a mark of {others}",

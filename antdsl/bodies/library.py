@@ -15,7 +15,7 @@ def library_body(word: str) -> Definition:
     """Return the body called `word`. Raises KeyError if it is not among BODY_WORDS, BodyError if its file is damaged."""
     if word not in BODY_WORDS:
         raise KeyError(word)
-    found, report = read_definition(resources.body_file(f"{word}.json"))
-    if found is None or not report.ok:
+    definition, report = read_definition(resources.body_file(f"{word}.json"))
+    if definition is None or not report.ok:
         raise BodyError(f"`{word}` of the installation is damaged: {report.errors[0].message}", "install antdsl again")
-    return found
+    return definition

@@ -122,12 +122,12 @@ class PosedBody:
         """Return which of `layers` show each vertex, uint64[v]: bit k for layer number k; 0 for vertices that are always
         shown."""
         own, layers = own_layer(self._whole), self._whole.layers
-        found = []
+        vertex_masks = []
         for binding in self._bindings:
             worn = [k for k, name in enumerate(self.layers) if name in layers and binding in _all(layers[name])]
             mask = 0 if binding in _all(own) else sum(1 << k for k in worn)
-            found.append(np.full(len(self._definition.shapes[binding.shape].points), mask, np.uint64))
-        taken: NDArray[np.uint64] = np.concatenate([np.zeros(0, np.uint64), *found])[self.taken]
+            vertex_masks.append(np.full(len(self._definition.shapes[binding.shape].points), mask, np.uint64))
+        taken: NDArray[np.uint64] = np.concatenate([np.zeros(0, np.uint64), *vertex_masks])[self.taken]
         return taken
 
     @cached_property
@@ -172,8 +172,8 @@ class PosedBody:
         poses = with_looks(self._table, poses, driven.looks, self._definition.groups, self._definition.base()[:3, :3])
         poses = with_scales(self._table, poses, self._definition.variation, self._definition.groups, driven.draws)
         if self.legs is not None and feet is not None:
-            stands = self.legs.kept(self._played, machines, count)
-            poses = self.legs.bent(poses, feet.less(stands), stands)
+            stands = self.legs.stance_weights(self._played, machines, count)
+            poses = self.legs.bend_legs(poses, feet.scale_trunk(stands), stands)
         return replace(poses, local=local_transforms(self._table, poses.world)) if local and poses.local is None else poses
 
     def posed(
@@ -192,10 +192,10 @@ class PosedBody:
     def shaped(self, poses: Poses) -> tuple[Floats, Floats]:
         """Points and unit normals float32[n, p, 3] of the shapes of all bindings, one after the other, in body lengths: front +x,
         up +y."""
-        found = [bound(self._definition, binding, poses) for binding in self._bindings]
+        deformed_shapes = [bound(self._definition, binding, poses) for binding in self._bindings]
         none = np.zeros((len(poses.world), 0, 3), np.float32)
-        points = np.concatenate([none, *(each.points for each in found)], axis=1)
-        normals = np.concatenate([none, *(each.normals for each in found if each.normals is not None)], axis=1)
+        points = np.concatenate([none, *(each.points for each in deformed_shapes)], axis=1)
+        normals = np.concatenate([none, *(each.normals for each in deformed_shapes if each.normals is not None)], axis=1)
         return points @ self._base.T, normals @ self._turn.T
 
 
@@ -208,14 +208,14 @@ def own_layer(definition: Definition) -> Layer:
 
 def _needed(definition: Definition, names: Iterable[str]) -> dict[str, Shape]:
     """Return shapes by name, and the shapes they blend with."""
-    found: dict[str, Shape] = {}
+    shapes: dict[str, Shape] = {}
     left = list(names)
     while left:
         name = left.pop()
-        if name not in found and name in definition.shapes:
-            found[name] = shape = definition.shapes[name]
+        if name not in shapes and name in definition.shapes:
+            shapes[name] = shape = definition.shapes[name]
             left += [*(shape.blend.shapes if shape.blend else ()), *(shape.between.shapes if shape.between else ())]
-    return found
+    return shapes
 
 
 def _bindings(definition: Definition, layers: Sequence[str]) -> tuple[Binding, ...]:
@@ -278,8 +278,8 @@ def coarse_shape(shape: Shape, cell: float) -> Shape:
         sums = [np.bincount(of, values[:, axis], len(first)) for axis in range(3)]
         return np.stack(sums, 1) / counts[:, None]
 
-    points, before = mean(shape.points), shape.points.astype(np.float64)
-    low, high, width = before.min(axis=0), before.max(axis=0), np.ptp(points, axis=0)
+    points, original_points = mean(shape.points), shape.points.astype(np.float64)
+    low, high, width = original_points.min(axis=0), original_points.max(axis=0), np.ptp(points, axis=0)
     wider = np.where(width > 0, (high - low) / np.where(width > 0, width, 1), 1)
     points = low + (points - points.min(axis=0)) * np.minimum(wider, _WIDER)
     normals = None
@@ -288,12 +288,12 @@ def coarse_shape(shape: Shape, cell: float) -> Shape:
         length = np.linalg.norm(turned, axis=1, keepdims=True)
         normals = np.where(length > 1e-6, turned / np.maximum(length, 1e-6), shape.normals[first]).astype(np.float32)
     faces = of[shape.faces].astype(np.int32)
-    whole = (faces[:, 0] != faces[:, 1]) & (faces[:, 1] != faces[:, 2]) & (faces[:, 2] != faces[:, 0])
+    has_area = (faces[:, 0] != faces[:, 1]) & (faces[:, 1] != faces[:, 2]) & (faces[:, 2] != faces[:, 0])
     follows = shape.capture
     capture = None if follows is None else Capture(follows.names, follows.joints[first], follows.weights[first], follows.inverse)
     return Shape(
-        shape.name, points.astype(np.float32), faces[whole], normals, None, shape.materials,
-        None if shape.material is None else shape.material[whole],
+        shape.name, points.astype(np.float32), faces[has_area], normals, None, shape.materials,
+        None if shape.material is None else shape.material[has_area],
         {name: values[first] for name, values in shape.attributes.items()}, capture,
         dual_quaternion_blend=shape.dual_quaternion_blend,
     )  # fmt: skip

@@ -107,17 +107,17 @@ def _crumb() -> Painted:
     """A crumb of bread: broken faces, pores, and crust on one side."""
     vertices, faces = sphere(5)
     draw = np.random.Generator(np.random.Philox(71))
-    ways = draw.normal(size=(13, 3))
-    ways /= np.linalg.norm(ways, axis=1, keepdims=True)
+    directions = draw.normal(size=(13, 3))
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
     # The shape is cut by planes with worn edges.
-    cut = (vertices @ ways.T) / draw.uniform(0.66, 0.92, 13)
+    cut = (vertices @ directions.T) / draw.uniform(0.66, 0.92, 13)
     size = np.minimum(1.0, 1 / np.maximum((np.maximum(cut, 0) ** 14).sum(axis=1) ** (1 / 14), 1e-9))
     rough = waves(vertices, 72, 0.75, 3)
     pore = np.clip(waves(vertices, 73, 0.34, 1) - 0.25, 0, 1) + 0.6 * np.clip(waves(vertices, 74, 0.17, 1) - 0.3, 0, 1)
     points = vertices * (size * (1 + 0.03 * rough - 0.075 * pore))[:, None]
     points *= 1.06 / np.hypot(points[:, 0], points[:, 2]).max()
     points[:, 1] -= points[:, 1].min() + 0.06
-    crust = np.clip(4 * (vertices @ ways[0] - 0.45) + 0.5 * rough, 0, 1)[:, None]
+    crust = np.clip(4 * (vertices @ directions[0] - 0.45) + 0.5 * rough, 0, 1)[:, None]
     white, brown, dark = np.array([0.90, 0.76, 0.52]), np.array([0.56, 0.30, 0.12]), np.array([0.66, 0.46, 0.25])
     inside = white + (dark - white) * np.clip(1.6 * pore + 0.15 * rough, 0, 1)[:, None]
     return points, faces, np.clip(inside + (brown - inside) * crust, 0, 1).astype(np.float32)
@@ -173,10 +173,10 @@ _WORDS: tuple[tuple[str, str], ...] = (
 @cache
 def placed(shape: str) -> Painted:
     """Vertices, faces and display colours 0..1 of the named shape."""
-    made = PLACED[shape]()
-    for array in made:
+    arrays = PLACED[shape]()
+    for array in arrays:
         array.setflags(write=False)
-    return made
+    return arrays
 
 
 def shape_of(kind: str, name: str) -> str:
@@ -188,8 +188,8 @@ def shape_of(kind: str, name: str) -> str:
 def _icosphere(detail: int) -> Mesh:
     import trimesh
 
-    made = trimesh.creation.icosphere(subdivisions=detail, radius=1.0)
-    vertices, faces = np.asarray(made.vertices, np.float64), np.asarray(made.faces, np.int32)
+    mesh = trimesh.creation.icosphere(subdivisions=detail, radius=1.0)
+    vertices, faces = np.asarray(mesh.vertices, np.float64), np.asarray(mesh.faces, np.int32)
     vertices.setflags(write=False)
     faces.setflags(write=False)
     return vertices, faces

@@ -43,8 +43,8 @@ def skinned_mesh(definition: Definition, bindings: Sequence[Binding], taken: NDA
     A static shape follows its joint only. For a point that follows more than four joints, the four with the largest weights
     remain. Deformers other than linear skinning are not applied: dual quaternions become linear, and blend shapes stay at their
     base. `blend_targets` has the differences from that base."""
-    found = _Bones(definition)
-    parts = [(_captured if _skins(each) else _static)(definition, each, found) for each in bindings]
+    bone_table = _Bones(definition)
+    parts = [(_captured if _skins(each) else _static)(definition, each, bone_table) for each in bindings]
     none = np.zeros((0, 3), np.float32)
     fours = np.zeros((0, MOST_JOINTS), np.float32)
     return SkinnedMesh(
@@ -52,8 +52,8 @@ def skinned_mesh(definition: Definition, bindings: Sequence[Binding], taken: NDA
         np.concatenate([none, *(each.normals for each in parts)]).astype(np.float32)[taken],
         np.concatenate([fours.astype(np.int32), *(each.bones for each in parts)])[taken],
         np.concatenate([fours, *(each.weights for each in parts)])[taken],
-        np.array(found.joints, np.int32),
-        np.array([each[:3] for each in found.inverses], np.float32).reshape(-1, 3, 4),
+        np.array(bone_table.joints, np.int32),
+        np.array([each[:3] for each in bone_table.inverses], np.float32).reshape(-1, 3, 4),
     )
 
 
@@ -86,7 +86,7 @@ def _skins(binding: Binding) -> bool:
     return bool(binding.deformer) and any(step in SKINNING for step in steps(binding.deformer))
 
 
-def _static(definition: Definition, binding: Binding, found: _Bones) -> _Part:
+def _static(definition: Definition, binding: Binding, bone_table: _Bones) -> _Part:
     """Return a static shape of a joint, moved to its place in the rest pose. It then shares the bone of shapes skinned to that
     joint."""
     shape = definition.shapes[binding.shape]
@@ -97,24 +97,24 @@ def _static(definition: Definition, binding: Binding, found: _Bones) -> _Part:
     joint, inverse = NO_JOINT, np.eye(4)
     if binding.transform:
         joint = definition.rig.joint(binding.transform)
-        rest = found.rest[joint]
+        rest = bone_table.rest[joint]
         if abs(np.linalg.det(rest[:3, :3])) > _FLAT:
             inverse = np.linalg.inv(rest)
             points = points @ rest[:3, :3].T + rest[:3, 3]
             normals = normals @ inverse[:3, :3]
             normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-20)
-    bones[:] = found.number(joint, inverse)
+    bones[:] = bone_table.number(joint, inverse)
     return _Part(points, normals, bones, weights)
 
 
-def _captured(definition: Definition, binding: Binding, found: _Bones) -> _Part:
+def _captured(definition: Definition, binding: Binding, bone_table: _Bones) -> _Part:
     """Return a shape in which each point follows its own joints."""
     shape = definition.shapes[binding.shape]
     capture = shape.capture
     if capture is None:
         raise ValueError(f"shape `{shape.name}` says for none of its points which joints they follow (capture)")
     number = np.array(
-        [found.number(definition.rig.joint(name), capture.inverse[k]) for k, name in enumerate(capture.names)], np.int32
+        [bone_table.number(definition.rig.joint(name), capture.inverse[k]) for k, name in enumerate(capture.names)], np.int32
     )
     joints, weights = _four(capture)
     return _Part(shape.points, _normals(shape), number[joints], weights)
@@ -127,9 +127,11 @@ def _four(capture: Capture) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
         wide = ((0, 0), (0, MOST_JOINTS - joints.shape[1]))
         return np.pad(joints, wide).astype(np.int32), np.pad(weights, wide).astype(np.float32)
     most = np.argsort(-weights, axis=1, kind="stable")[:, :MOST_JOINTS]
-    kept = np.take_along_axis(weights, most, axis=1)
-    whole = kept.sum(axis=1, keepdims=True)
-    return np.take_along_axis(joints, most, axis=1).astype(np.int32), (kept / np.where(whole > 0, whole, 1)).astype(np.float32)
+    top_weights = np.take_along_axis(weights, most, axis=1)
+    total = top_weights.sum(axis=1, keepdims=True)
+    return np.take_along_axis(joints, most, axis=1).astype(np.int32), (top_weights / np.where(total > 0, total, 1)).astype(
+        np.float32
+    )
 
 
 def _normals(shape: Shape) -> NDArray[np.float32]:
@@ -153,7 +155,7 @@ def blend_targets(
     shapes with blending as their first deformer count. `taken` int[v]: the vertices to include, numbered through all bindings."""
     sizes = [len(definition.shapes[each.shape].points) for each in bindings]
     starts = np.cumsum([0, *sizes])
-    found: dict[Target, NDArray[np.float32]] = {}
+    offsets_by_target: dict[Target, NDArray[np.float32]] = {}
     rest = world_matrices(definition.rig.parents, definition.rig.rest)
     for start, binding in zip(starts, bindings, strict=False):
         shape, chain = definition.shapes[binding.shape], steps(binding.deformer) if binding.deformer else ()
@@ -162,9 +164,9 @@ def blend_targets(
         carried = binding.transform and not any(step in SKINNING for step in chain)
         turn = rest[definition.rig.joint(binding.transform)][:3, :3] if carried else np.eye(3)
         for target, rows, offsets in _offsets(definition, shape, turn):
-            whole = found.setdefault(target, np.zeros((int(starts[-1]), 6), np.float32))
-            whole[start + rows] += offsets
-    return {target: offsets[taken] for target, offsets in found.items()}
+            target_offsets = offsets_by_target.setdefault(target, np.zeros((int(starts[-1]), 6), np.float32))
+            target_offsets[start + rows] += offsets
+    return {target: offsets[taken] for target, offsets in offsets_by_target.items()}
 
 
 def _offsets(
@@ -172,25 +174,25 @@ def _offsets(
 ) -> list[tuple[Target, NDArray[np.intp], NDArray[np.float64]]]:
     blend = shape.blend
     assert blend is not None
-    found = []
+    target_offsets = []
     for name, channel in zip(blend.shapes, blend.channels, strict=True):
         targets, knots = knots_of(definition, name)
         for place, target in enumerate(targets):
-            here, there = matched(shape, target, blend.point_id)
-            offsets = np.zeros((len(here), 6))
+            base_points, target_points = matched(shape, target, blend.point_id)
+            offsets = np.zeros((len(base_points), 6))
             for first, attribute, values in ((0, "P", target.points), (3, "N", target.normals)):
                 if attribute in blend.attributes and values is not None:
-                    offsets[:, first : first + 3] = difference(shape, target, attribute, here, there).T @ turn.T
-            found.append((Target(channel, tuple(knots), place), here, offsets))
-    return found
+                    offsets[:, first : first + 3] = difference(shape, target, attribute, base_points, target_points).T @ turn.T
+            target_offsets.append((Target(channel, tuple(knots), place), base_points, offsets))
+    return target_offsets
 
 
 def weights_of(targets: Sequence[Target], rig: Rig, channels: Floats) -> Floats:
     """Return the weights float32[n, K] of K targets for n agents with channel values `channels` float32[n, C]."""
-    found = np.zeros((len(channels), len(targets)), np.float32)
+    weights = np.zeros((len(channels), len(targets)), np.float32)
     for k, target in enumerate(targets):
-        found[:, k] = shares_of(channels[:, rig.channel(target.channel)], np.array(target.knots))[target.place]
-    return found
+        weights[:, k] = shares_of(channels[:, rig.channel(target.channel)], np.array(target.knots))[target.place]
+    return weights
 
 
 def of_channels(definition: Definition) -> Definition:

@@ -45,8 +45,8 @@ class Curve:
         self._step = np.diff(self.samples, axis=0)
         self._size = np.sqrt((self._step * self._step).sum(axis=1))
         self.length = float(self._size.sum())
-        ways = unit(self._step)
-        self._tangent = unit(np.concatenate([ways[:1], ways[:-1] + ways[1:], ways[-1:]]))
+        directions = unit(self._step)
+        self._tangent = unit(np.concatenate([directions[:1], directions[:-1] + directions[1:], directions[-1:]]))
         self._tree: Any = None
 
     def closest(self, x: NDArray[Any], y: NDArray[Any], z: NDArray[Any]) -> CurvePoints:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from antdsl.casting.grid_filters import distances
 from antdsl.casting.rasterise import triangle_cells
-from antdsl.machine_code.kernels import F32, F64, I64, Array1, independent, inlined, kernel, whole
+from antdsl.machine_code.kernels import F32, F64, I64, Array1, independent, inlined, kernel, nearest_integer
 from antdsl.numerics import parallel, stored_tables
 from antdsl.numerics.vector_rows import dot
 
@@ -21,7 +21,7 @@ _LISTED = 4_000_000  # cells of triangles, one in several counted as often
 _MEASURED = 150_000  # cells: about 2 microseconds each
 
 Columns = tuple[Array1[F32], Array1[F32], Array1[F32]]
-Places = tuple[Array1[F64], Array1[F64], Array1[F64]]
+Columns64 = tuple[Array1[F64], Array1[F64], Array1[F64]]
 Cells = tuple[Array1[F64], Array1[F64], Array1[I64], F64]  # where they begin and end, how many along each axis, and how wide
 
 
@@ -60,20 +60,20 @@ class DistanceGrid:
         if near.size > _MEASURED:
             return
         cells = np.stack(np.unravel_index(near, tuple(self._size)), axis=1)
-        apart = distance(self._low + (cells + 0.5) * self._width)
+        measured_distances = distance(self._low + (cells + 0.5) * self._width)
         error = 2e-3 + 2e-6 * float((self._high - self._low).max())  # mm, of float32
-        least = apart - np.sqrt(0.75) * self._width * (1 + 1e-6) - error
+        least = measured_distances - np.sqrt(0.75) * self._width * (1 + 1e-6) - error
         self._least[near] = np.maximum(self._least[near], least.astype(np.float32))
 
     def at_least(self, x: NDArray[Any], y: NDArray[Any], z: NDArray[Any], threads: int = 1) -> NDArray[np.float32]:
         """Return a distance (mm, float32[n]) within which there is no triangle; 0 near the triangles."""
-        found, columns = np.empty(len(x), np.float32), (x, y, z)
+        least_distances, columns = np.empty(len(x), np.float32), (x, y, z)
         single = all(each.dtype == np.float32 for each in columns)
         if not single:
             columns = (x.astype(np.float64), y.astype(np.float64), z.astype(np.float64))
-        work = partial(at_least if single else at_least_of, parallel.plain(*columns), self._cells, self._least, found)
+        work = partial(at_least if single else at_least_of, parallel.plain(*columns), self._cells, self._least, least_distances)
         parallel.in_parts(work, len(x), threads, parallel.LIGHT)
-        return found
+        return least_distances
 
 
 @inlined
@@ -92,25 +92,27 @@ def _bound(cells: Cells, least: Array1[F32], px: F64, py: F64, pz: F64) -> F32:
 
 
 @kernel
-def at_least(places: Columns, cells: Cells, least: Array1[F32], found: Array1[F32], begin: I64, end: I64) -> None:
+def at_least(positions: Columns, cells: Cells, least: Array1[F32], least_distances: Array1[F32], begin: I64, end: I64) -> None:
     """Write the distances of the positions in rows `begin` to `end` (exclusive)."""
-    x, y, z = places
+    x, y, z = positions
     for n in independent(begin, end):
-        found[n] = _bound(cells, least, np.float64(x[n]), np.float64(y[n]), np.float64(z[n]))
+        least_distances[n] = _bound(cells, least, np.float64(x[n]), np.float64(y[n]), np.float64(z[n]))
 
 
 @kernel
-def at_least_of(places: Places, cells: Cells, least: Array1[F32], found: Array1[F32], begin: I64, end: I64) -> None:
+def at_least_of(
+    positions: Columns64, cells: Cells, least: Array1[F32], least_distances: Array1[F32], begin: I64, end: I64
+) -> None:
     """The same of places in float64."""
-    x, y, z = places
+    x, y, z = positions
     for n in independent(begin, end):
-        found[n] = _bound(cells, least, x[n], y[n], z[n])
+        least_distances[n] = _bound(cells, least, x[n], y[n], z[n])
 
 
 @inlined
 def _number(place: F64) -> I64:
     """Return the cell number of a coordinate in cells that is not negative."""
-    return whole(np.floor(place))
+    return nearest_integer(np.floor(place))
 
 
 @inlined

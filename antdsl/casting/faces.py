@@ -77,13 +77,15 @@ class Faces:
         steepest = np.maximum(np.maximum(dot(one, one), dot(two, two)), dot(both, both))
         return rows, _RIM * self.hair * np.sqrt(steepest)
 
-    def crossing(self, face: Index, origin: Floats, way: Floats) -> tuple[Floats, Floats, NDArray[np.bool_], NDArray[np.bool_]]:
-        """Intersect rays from `origin` [k,3] along `way` [k,3] with the planes of faces. Returns the ray parameter, in lengths of
-        `way`; the weights [k,3] of the corners there; whether the point is in the face; whether it is within float32 error of the
-        border."""
+    def crossing(
+        self, face: Index, origin: Floats, displacement: Floats
+    ) -> tuple[Floats, Floats, NDArray[np.bool_], NDArray[np.bool_]]:
+        """Intersect rays from `origin` [k,3] along `displacement` [k,3] with the planes of faces. Returns the ray parameter, in
+        lengths of `displacement`; the weights [k,3] of the corners there; whether the point is in the face; whether it is within
+        float32 error of the border."""
         rows, rim = self._known(face)
         at = ((rows[:, :, 0] * origin[:, 0:1] + rows[:, :, 1] * origin[:, 1:2]) + rows[:, :, 2] * origin[:, 2:]) + rows[:, :, 3]
-        to = (rows[:, :, 0] * way[:, 0:1] + rows[:, :, 1] * way[:, 1:2]) + rows[:, :, 2] * way[:, 2:]
+        to = (rows[:, :, 0] * displacement[:, 0:1] + rows[:, :, 1] * displacement[:, 1:2]) + rows[:, :, 2] * displacement[:, 2:]
         with np.errstate(all="ignore"):
             t = -at[:, 0] / to[:, 0]
             weights = at + t[:, None] * to
@@ -92,7 +94,7 @@ class Faces:
             return t, weights, (least >= -CLOSED) & (np.abs(t) < np.inf), ~(np.abs(least) > rim)
 
     def judged(
-        self, named: Index, origin: Floats, way: Floats, at: NDArray[np.floating]
+        self, named: Index, origin: Floats, displacement: Floats, at: NDArray[np.floating]
     ) -> tuple[Floats, Floats, NDArray[np.bool_], Floats]:
         """Check hits that Open3D reports, on the named faces at about `at` of their length. Returns the exact part of the length,
         the weights of the corners, whether the ray hits, and `hair` as a part of the length. Near the border of the named face,
@@ -100,25 +102,28 @@ class Faces:
         tables = self.tables()
         if tables is not None:
             n = len(named)
-            here, hair, weights, hit = np.empty(n), np.empty(n), np.empty((n, 3)), np.empty(n, np.bool_)
-            hits(tables, self.hair, AHEAD, at.astype(np.float64), origin, way, named, here, weights, hit, hair)
-            return here, weights, hit, hair
-        hair = self.hair / np.sqrt((way[:, 0] * way[:, 0] + way[:, 1] * way[:, 1]) + way[:, 2] * way[:, 2])
-        here, weights, hit, beside = self.crossing(named, origin, way)
-        hit &= here > hair
+            fractions, hair, weights, hit = np.empty(n), np.empty(n), np.empty((n, 3)), np.empty(n, np.bool_)
+            hits(tables, self.hair, AHEAD, at.astype(np.float64), origin, displacement, named, fractions, weights, hit, hair)
+            return fractions, weights, hit, hair
+        hair = self.hair / np.sqrt(
+            (displacement[:, 0] * displacement[:, 0] + displacement[:, 1] * displacement[:, 1])
+            + displacement[:, 2] * displacement[:, 2]
+        )
+        fractions, weights, hit, beside = self.crossing(named, origin, displacement)
+        hit &= fractions > hair
         unsure = np.flatnonzero(beside)
         if unsure.size:
             which, other = self.meeting(named[unsure], weights[unsure])
             row = unsure[which]
-            t, there, inside, _ = self.crossing(other, origin[row], way[row])
+            t, other_weights, inside, _ = self.crossing(other, origin[row], displacement[row])
             near = (t <= at[row] + AHEAD * hair[row]) | (other == named[row])
             good = np.flatnonzero(inside & near & (t > hair[row]))
             order = good[np.lexsort((other[good], t[good], row[good]))]
             first = order[np.concatenate(([True], row[order[1:]] != row[order[:-1]]))] if order.size else order
             hit[unsure] = False
             row = row[first]
-            named[row], here[row], weights[row], hit[row] = other[first], t[first], there[first], True
-        return here, weights, hit, hair
+            named[row], fractions[row], weights[row], hit[row] = other[first], t[first], other_weights[first], True
+        return fractions, weights, hit, hair
 
     def tables(self) -> tuple[Floats, Floats, Index, Index, Index] | None:
         """Return the tables that kernels read, for all faces: planes, borders, and the results of `_met`. None for a short-lived
@@ -146,20 +151,20 @@ class Faces:
         beside = np.flatnonzero(~(np.minimum(np.minimum(weights[:, 0], weights[:, 1]), weights[:, 2]) > rim))
         if beside.size:
             which, other = self.meeting(face[beside], weights[beside])
-            there = nearest_on_triangle(points[beside[which]], self.corners.take(other, axis=0))
-            gap = there - points[beside[which]]
-            apart = dot(gap, gap)
-            order = np.lexsort((other, apart, which))
+            other_places = nearest_on_triangle(points[beside[which]], self.corners.take(other, axis=0))
+            gap = other_places - points[beside[which]]
+            other_squares = dot(gap, gap)
+            order = np.lexsort((other, other_squares, which))
             first = order[np.concatenate(([True], which[1:] != which[:-1]))]  # `which` is ascending already
             face = face.copy()
-            face[beside], place[beside], square[beside] = other[first], there[first], apart[first]
+            face[beside], place[beside], square[beside] = other[first], other_places[first], other_squares[first]
         return place, square, face
 
     def meeting(self, face: Index, weights: Floats) -> tuple[Index, Index]:
         """Return for each face all faces that share its corner of largest weight, itself included. The result contains the
         indices of the queried faces, and the face numbers, ascending."""
         if self._meeting is None:
-            self._meeting = self._met()
+            self._meeting = self._weld_corners()
         weld, first, faces = self._meeting
         corner = weld.take(3 * face + np.argmax(weights, axis=1))
         count = first.take(corner + 1) - first.take(corner)
@@ -170,15 +175,15 @@ class Faces:
     def _doubled(self) -> NDArray[np.bool_]:
         """Which faces have the corners of another one."""
         if self._meeting is None:
-            self._meeting = self._met()
+            self._meeting = self._weld_corners()
         three = np.sort(self._meeting[0].reshape(-1, 3), axis=1)
         order = np.lexsort((three[:, 2], three[:, 1], three[:, 0]))
         same = (three[order[1:]] == three[order[:-1]]).all(axis=1)
-        found = np.zeros(len(three), bool)
-        found[order[1:][same]] = found[order[:-1][same]] = True
-        return found
+        is_doubled = np.zeros(len(three), bool)
+        is_doubled[order[1:][same]] = is_doubled[order[:-1][same]] = True
+        return is_doubled
 
-    def _met(self) -> tuple[Index, Index, Index]:
+    def _weld_corners(self) -> tuple[Index, Index, Index]:
         """Return the welded vertex number of each corner; where the faces at each vertex begin; these faces."""
         flat = self.corners.reshape(-1, 3)
         order = np.lexsort((flat[:, 2], flat[:, 1], flat[:, 0]))
@@ -232,9 +237,9 @@ def _nearest_on_sides(points: Floats, corners: Floats) -> Floats:
         s = np.minimum(np.maximum(dot(points - p, side) / np.where(length > 0, length, 1.0), 0.0), 1.0)
         place = p + s[:, None] * side
         away = place - points
-        here = dot(away, away)
-        closer = here < gap
-        best[closer], gap[closer] = place[closer], here[closer]
+        square = dot(away, away)
+        closer = square < gap
+        best[closer], gap[closer] = place[closer], square[closer]
     return best
 
 
@@ -245,9 +250,9 @@ def hits(
     ahead: F64,
     at: Array1[F64],
     origin: Strided2[F64],
-    way: Strided2[F64],
+    displacement: Strided2[F64],
     named: Array1[I64],
-    here: Array1[F64],
+    fractions: Array1[F64],
     weights: Array2[F64],
     hit: Array1[BOOL],
     short: Array1[F64],
@@ -256,12 +261,12 @@ def hits(
     part of the length."""
     planes, rims, weld, first, faces = table
     for i in range(named.size):
-        x, y, z = way[i, 0], way[i, 1], way[i, 2]
+        x, y, z = displacement[i, 0], displacement[i, 1], displacement[i, 2]
         a, b, c = origin[i, 0], origin[i, 1], origin[i, 2]
         h = hair / np.sqrt((x * x + y * y) + z * z)
         face = named[i]
         t, (w0, w1, w2), least = _crossing(planes, face, a, b, c, x, y, z)
-        short[i], here[i], hit[i] = h, t, least >= -CLOSED and abs(t) < np.inf and t > h
+        short[i], fractions[i], hit[i] = h, t, least >= -CLOSED and abs(t) < np.inf and t > h
         weights[i, 0], weights[i, 1], weights[i, 2] = w0, w1, w2
         if not abs(least) > rims[face]:
             hit[i] = False
@@ -270,8 +275,8 @@ def hits(
             for k in range(first[place], first[place + 1]):
                 t, (w0, w1, w2), least = _crossing(planes, faces[k], a, b, c, x, y, z)
                 good = least >= -CLOSED and abs(t) < np.inf and t > h and (t <= most or faces[k] == face)
-                if good and (not hit[i] or t < here[i]):
-                    named[i], here[i], hit[i] = faces[k], t, True
+                if good and (not hit[i] or t < fractions[i]):
+                    named[i], fractions[i], hit[i] = faces[k], t, True
                     weights[i, 0], weights[i, 1], weights[i, 2] = w0, w1, w2
 
 
@@ -370,7 +375,7 @@ def nearest_on(corners: Array3[F64], face: I64, p: Vec3) -> Vec3:
         length = dot_of(side, side)
         s = min(max(dot_of(minus(p, start), side) / (length if length > 0 else 1.0), 0.0), 1.0)
         place = _on(start, side, s)
-        here = square_of(minus(place, p))
-        if here < gap:
-            best, gap = place, here
+        square = square_of(minus(place, p))
+        if square < gap:
+            best, gap = place, square
     return best

@@ -29,9 +29,9 @@ def _around(grid: NDArray[T], rings: int, better: Any) -> NDArray[T]:
         for flip in (False, True):  # those after each, then those before as well
             line = np.moveaxis(grid, axis, 0)
             line = line[::-1] if flip else line
-            covered, wanted = 1, min(rings + 1, len(line))
-            while covered < wanted:
-                step = min(covered, wanted - covered)
+            covered, window = 1, min(rings + 1, len(line))
+            while covered < window:
+                step = min(covered, window - covered)
                 ahead = line.copy()
                 better(line[:-step], line[step:], out=ahead[:-step])
                 line, covered = ahead, covered + step

@@ -20,8 +20,8 @@ from antdsl.machine_code.kernels import (
     fetch_ahead,
     inlined,
     kernel,
+    nearest_integer,
     scratch,
-    whole,
 )
 from antdsl.numerics.kernel_vectors import Vec3, Vec3F32, minus, of
 
@@ -29,7 +29,7 @@ from antdsl.numerics.kernel_vectors import Vec3, Vec3F32, minus, of
 Grid = tuple[Array1[F64], Array1[I64], Array1[I32], Array1[I32], Array2[F32], Array3[F64], Array3[F64], Array2[F64]]
 Three = tuple[Array1[F32], Array1[F32], Array1[F32]]
 Four = tuple[Array1[F32], Array1[F32], Array1[F32], Array1[F32]]
-Felt = tuple[Array1[BOOL], Array1[F32], Array1[F32], Array1[F32], Array1[F32]]
+FeelResults = tuple[Array1[BOOL], Array1[F32], Array1[F32], Array1[F32], Array1[F32]]
 Seven = tuple[Array1[F32], Array1[F32], Array1[F32], Array1[F32], Array1[F32], Array1[F32], Array1[F32]]
 ONE, SLACK, TINY = np.float32(1), np.float32(FAR_OFF), np.float32(SHORTEST)
 AHEAD = 16  # rays or points with faces prefetched together
@@ -38,46 +38,48 @@ _STILL = 1e-12  # cubes: a ray that goes no farther along an axis stays in its l
 
 @kernel
 def firsts(
-    grid: Grid, origin: Strided2[F64], way: Strided2[F64], t: Array1[F64], face: Array1[I64], begin: I64, end: I64
+    grid: Grid, origin: Strided2[F64], displacement: Strided2[F64], t: Array1[F64], face: Array1[I64], begin: I64, end: I64
 ) -> None:
     """As `TriangleGrid.first`, into `t` and `face`, for rays `begin` to `end` (exclusive)."""
     cells = scratch(2 * AHEAD, I64)
     for low in range(begin, end, AHEAD):
         high = min(low + AHEAD, end)
-        _fetch(grid, origin, (0.0, 0.0, 0.0), way, cells, low, high)
+        _fetch(grid, origin, (0.0, 0.0, 0.0), displacement, cells, low, high)
         for i in range(low, high):
-            t[i], face[i] = first_hit(grid, (origin[i, 0], origin[i, 1], origin[i, 2]), (way[i, 0], way[i, 1], way[i, 2]))
+            t[i], face[i] = first_hit(
+                grid, (origin[i, 0], origin[i, 1], origin[i, 2]), (displacement[i, 0], displacement[i, 1], displacement[i, 2])
+            )
 
 
 @kernel
 def faced(
     grid: Grid,
     origin: Strided2[F64],
-    way: Strided2[F64],
+    displacement: Strided2[F64],
     normals: Array2[F64],
     named: Array1[I64],
     which: Array1[I64],
-    found: Array2[F64],
+    results: Array2[F64],
     begin: I64,
     end: I64,
 ) -> tuple[I64, I64, I64]:
     """As `TriangleGrid.faced`, for rays `begin` to `end` (exclusive), into the last two arrays from index `begin` on. `which`:
-    the rays that hit; `found` [4, n]: part of the length and normal (x y z). Returns `begin`, the number of hits, and the number
-    of rays beyond the grid's reach."""
+    the rays that hit; `results` [4, n]: part of the length and normal (x y z). Returns `begin`, the number of hits, and the
+    number of rays beyond the grid's reach."""
     shape, count, left = grid[0], 0, 0
     zero = shape[6], shape[7], shape[8]
     cells, faces, many = scratch(2 * AHEAD, I64), scratch(AHEAD, I64), normals.shape[1]
     for low in range(begin, end, AHEAD):
         high = min(low + AHEAD, end)
-        _fetch(grid, origin, zero, way, cells, low, high)
+        _fetch(grid, origin, zero, displacement, cells, low, high)
         hit = 0
         for i in range(low, high):
             a = minus((origin[i, 0], origin[i, 1], origin[i, 2]), zero)
-            t, face = first_hit(grid, a, (way[i, 0], way[i, 1], way[i, 2]))
+            t, face = first_hit(grid, a, (displacement[i, 0], displacement[i, 1], displacement[i, 2]))
             left += 1 if face == FURTHER else 0
             if face >= 0:
                 k = begin + count + hit
-                which[k], found[0, k], faces[hit] = i, t, face
+                which[k], results[0, k], faces[hit] = i, t, face
                 fetch_ahead(named, face)
                 hit += 1
         for n in range(hit):
@@ -86,22 +88,24 @@ def faced(
                 fetch_ahead(normals, axis * many + faces[n])
         for n in range(hit):
             for axis in range(3):
-                found[1 + axis, begin + count + n] = normals[axis, faces[n]]
+                results[1 + axis, begin + count + n] = normals[axis, faces[n]]
         count += hit
     return begin, count, left
 
 
 @inlined
-def _fetch(grid: Grid, origin: Strided2[F64], zero: Vec3, way: Strided2[F64], cells: Array1[I64], low: I64, high: I64) -> None:
+def _fetch(
+    grid: Grid, origin: Strided2[F64], zero: Vec3, displacement: Strided2[F64], cells: Array1[I64], low: I64, high: I64
+) -> None:
     """Prefetch the faces near both ends of rays `low` to `high` (exclusive); origins are relative to `zero`."""
     for i in range(low, high):
         a = minus((origin[i, 0], origin[i, 1], origin[i, 2]), zero)
-        _look_along(grid, a, (way[i, 0], way[i, 1], way[i, 2]), cells, i - low)
+        _look_along(grid, a, (displacement[i, 0], displacement[i, 1], displacement[i, 2]), cells, i - low)
     _fetch_lists(grid, cells, high - low)
 
 
 @kernel
-def feelers(grid: Grid, rays: Seven, found: Array2[F32]) -> I64:
+def feelers(grid: Grid, rays: Seven, results: Array2[F32]) -> I64:
     """As `TriangleGrid.feelers`, into the last array: distance and normal. The distance is NaN for feelers that the grid cannot
     resolve; returns their number."""
     x, y, z, dx, dy, dz, reach = rays
@@ -110,18 +114,20 @@ def feelers(grid: Grid, rays: Seven, found: Array2[F32]) -> I64:
         n, face = feel(grid, (x[i], y[i], z[i]), (dx[i], dy[i], dz[i]), reach[i])
         if face == FURTHER:
             count += 1
-        found[0, i] = np.float32(n[3])
-        found[1, i], found[2, i], found[3, i] = np.float32(n[0]), np.float32(n[1]), np.float32(n[2])
+        results[0, i] = np.float32(n[3])
+        results[1, i], results[2, i], results[3, i] = np.float32(n[0]), np.float32(n[1]), np.float32(n[2])
     return count
 
 
 @kernel
-def felt(grid: Grid, places: Four, asking: Array1[BOOL], ways: Four, found: Felt, begin: I64, end: I64) -> I64:
+def feel_askers(
+    grid: Grid, positions: Four, asking: Array1[BOOL], directions: Four, results: FeelResults, begin: I64, end: I64
+) -> I64:
     """As `TriangleGrid.felt`, for agents `begin` to `end` (exclusive), into the last arrays. The distance is NaN for feelers that
     the grid cannot resolve; returns their number."""
-    x, y, z, clear = places
-    wx, wy, wz, reach = ways
-    hit, t, nx, ny, nz = found
+    x, y, z, clear = positions
+    wx, wy, wz, reach = directions
+    hit, t, nx, ny, nz = results
     count = 0
     for i in range(begin, end):
         if not asking[i]:
@@ -192,14 +198,14 @@ def first_hit(grid: Grid, a: Vec3, w: Vec3) -> tuple[F64, I64]:
         for k in range(first[cell], first[cell + 1]):
             # Most faces lie with their whole plane on one side of the ray, or with their ball beside it.
             nx, ny, nz = np.float64(bound[k, 0]), np.float64(bound[k, 1]), np.float64(bound[k, 2])
-            here = ((nx * a[0] + ny * a[1]) + nz * a[2]) + np.float64(bound[k, 3])
-            there = here + ((nx * w[0] + ny * w[1]) + nz * w[2]) * most
-            if abs(here + there) - abs(here - there) > 2.0 * off:
+            start_distance = ((nx * a[0] + ny * a[1]) + nz * a[2]) + np.float64(bound[k, 3])
+            distance = start_distance + ((nx * w[0] + ny * w[1]) + nz * w[2]) * most
+            if abs(start_distance + distance) - abs(start_distance - distance) > 2.0 * off:
                 continue
             cx, cy, cz = np.float64(bound[k, 4]) - a[0], np.float64(bound[k, 5]) - a[1], np.float64(bound[k, 6]) - a[2]
             away = np.float64(bound[k, 7]) + off
-            there = min(max((cx * w[0] + cy * w[1] + cz * w[2]) * over, 0.0), most)
-            cx, cy, cz = cx - there * w[0], cy - there * w[1], cz - there * w[2]
+            distance = min(max((cx * w[0] + cy * w[1] + cz * w[2]) * over, 0.0), most)
+            cx, cy, cz = cx - distance * w[0], cy - distance * w[1], cz - distance * w[2]
             if cx * cx + cy * cy + cz * cz > away * away:
                 continue
             f = listed[k]
@@ -227,11 +233,11 @@ def first_hit(grid: Grid, a: Vec3, w: Vec3) -> tuple[F64, I64]:
 
 @inlined
 def fetch_rays(
-    grid: Grid, origins: Array2[F64], zero: Vec3, ways: Array2[F64], rays: Array1[I64], cells: Array1[I64], count: I64
+    grid: Grid, origins: Array2[F64], zero: Vec3, displacements: Array2[F64], rays: Array1[I64], cells: Array1[I64], count: I64
 ) -> None:
     """Prefetch the faces near both ends of the rays with numbers in `rays`. Origins and ways (3, k) are relative to `zero`."""
     for n in range(count):
-        _look_along(grid, minus(of(origins, rays[n]), zero), of(ways, rays[n]), cells, n)
+        _look_along(grid, minus(of(origins, rays[n]), zero), of(displacements, rays[n]), cells, n)
     _fetch_lists(grid, cells, count)
 
 
@@ -254,9 +260,9 @@ def _look_at(grid: Grid, a: Vec3) -> I64:
     """Return the cube of a position, or the nearest one of the grid. Prefetch the start of its list."""
     shape, size, first = grid[0], grid[1], grid[2]
     part = 1.0 / shape[3]
-    x = min(max(whole(np.floor((a[0] - shape[0]) * part)), 0), size[0] - 1)
-    y = min(max(whole(np.floor((a[1] - shape[1]) * part)), 0), size[1] - 1)
-    z = min(max(whole(np.floor((a[2] - shape[2]) * part)), 0), size[2] - 1)
+    x = min(max(nearest_integer(np.floor((a[0] - shape[0]) * part)), 0), size[0] - 1)
+    y = min(max(nearest_integer(np.floor((a[1] - shape[1]) * part)), 0), size[1] - 1)
+    z = min(max(nearest_integer(np.floor((a[2] - shape[2]) * part)), 0), size[2] - 1)
     cell = (x * size[1] + y) * size[2] + z
     fetch_ahead(first, cell)
     return cell

@@ -38,7 +38,7 @@ class FeelerHits:
     nz: NDArray[np.float32]
 
 
-def everybody(asks: Sequence[Ask]) -> list[tuple[int, NDArray[np.intp]]]:
+def list_askers(asks: Sequence[Ask]) -> list[tuple[int, NDArray[np.intp]]]:
     """Return the rows of all requests, with the number of each request."""
     return [(number, np.flatnonzero(asking)) for number, (asking, *_) in enumerate(asks)]
 
@@ -61,7 +61,9 @@ class Nearby:
         """Return mesh, face, position and distance of the nearest face to each point."""
         raise NotImplementedError
 
-    def _within(self, origin: Vectors, way: Vectors, threads: int, most_hit: bool = False) -> tuple[Index, Vectors, Index]:
+    def _within(
+        self, origin: Vectors, displacement: Vectors, threads: int, most_hit: bool = False
+    ) -> tuple[Index, Vectors, Index]:
         raise NotImplementedError
 
     def _towards(self, face: Index, direction: NDArray[Any]) -> NDArray[np.float32]:
@@ -70,7 +72,7 @@ class Nearby:
     def _triangles(self) -> TriangleGrid | None:
         raise NotImplementedError
 
-    def _about(self, points: Vectors) -> Vectors:
+    def _bound_distances(self, points: Vectors) -> Vectors:
         raise NotImplementedError
 
     def clearance(self, x: NDArray[Any], y: NDArray[Any], z: NDArray[Any], threads: int = 1) -> NDArray[np.float32]:
@@ -81,7 +83,7 @@ class Nearby:
             self._grid = self._distances()
         if len(x) >= _CROWD and not self._refined and not self._brief:
             self._refined = True
-            self._grid.refine(self._about)
+            self._grid.refine(self._bound_distances)
         return self._grid.at_least(x, y, z, threads)
 
     def _distances(self) -> DistanceGrid:
@@ -108,30 +110,30 @@ class Nearby:
         assert isinstance(reach, np.ndarray)
         grid = self._grid_for((x, y, z, dx, dy, dz))
         if grid is not None:
-            found, left = grid.feelers((x, y, z), (dx, dy, dz), reach)
+            results, left = grid.feelers((x, y, z), (dx, dy, dz), reach)
             if left:
-                asked = np.flatnonzero(np.isnan(found[0]))
-                rays = tuple(each.take(asked) for each in (x, y, z, dx, dy, dz))
-                found[0, asked], found[1:, asked] = self._touched(rays, reach.take(asked), threads)
-            t, normal = found[0], found[1:]
+                unknown_rows = np.flatnonzero(np.isnan(results[0]))
+                rays = tuple(each.take(unknown_rows) for each in (x, y, z, dx, dy, dz))
+                results[0, unknown_rows], results[1:, unknown_rows] = self._touched(rays, reach.take(unknown_rows), threads)
+            t, normal = results[0], results[1:]
         else:
             t, normal = self._touched((x, y, z, dx, dy, dz), reach, threads)
         return FeelerHits(t < np.inf, t, *normal)
 
-    def felt(self, places: Arrays, asks: Sequence[Ask], threads: int = 1) -> list[tuple[int, NDArray[np.intp]]]:
-        """As `feelers`, for several requests together, each by some of n agents. `places`: x y z and the distance free of faces,
-        [n] each. Each request has ways (x y z) of any length and their reach, [n] each, and result arrays: hit, distance and
-        normal (x y z), [n] each. Results must be initialised to no hit; all arrays are contiguous float32. Returns, with the
+    def feel_batch(self, positions: Arrays, asks: Sequence[Ask], threads: int = 1) -> list[tuple[int, NDArray[np.intp]]]:
+        """As `feelers`, for several requests together, each by some of n agents. `positions`: x y z and the distance free of
+        faces, [n] each. Each request has ways (x y z) of any length and their reach, [n] each, and result arrays: hit, distance
+        and normal (x y z), [n] each. Results must be initialised to no hit; all arrays are contiguous float32. Returns, with the
         number of each request, the rows that still need `feelers`: all if there is no grid."""
         grid = self._triangles()
         if grid is None:
-            return everybody(asks)
+            return list_askers(asks)
         left = []
-        for number, (asking, ways, found) in enumerate(asks):
-            if grid.felt(places, asking, ways, found, threads):
-                asked = np.flatnonzero(asking & np.isnan(found[1]))
-                found[1][asked] = np.inf
-                left.append((number, asked))
+        for number, (asking, directions, results) in enumerate(asks):
+            if grid.feel_askers(positions, asking, directions, results, threads):
+                unknown_rows = np.flatnonzero(asking & np.isnan(results[1]))
+                results[1][unknown_rows] = np.inf
+                left.append((number, unknown_rows))
         return left
 
     def tables(self) -> Tables | None:
@@ -153,15 +155,15 @@ class Nearby:
         near = self._reachable(x, y, z, dx, dy, dz, reach)
         if near.size:
             length = reach.take(near)
-            origin, way = np.empty((3, near.size)), np.empty((3, near.size))
+            origin, displacement = np.empty((3, near.size)), np.empty((3, near.size))
             for axis, (place, step) in enumerate(((x, dx), (y, dy), (z, dz))):
                 np.subtract(place.take(near), self.origin[axis], out=origin[axis])
-                np.multiply(step.take(near), length, out=way[axis], dtype=np.float64)
-            met, part, face = self._within(origin.T, way.T, threads)
-            if met.size:
-                near = near.take(met)
-                t[near] = part * length.take(met)
-                normal[:, near] = self._towards(face, way.T[met]).T
+                np.multiply(step.take(near), length, out=displacement[axis], dtype=np.float64)
+            hit_rows, part, face = self._within(origin.T, displacement.T, threads)
+            if hit_rows.size:
+                near = near.take(hit_rows)
+                t[near] = part * length.take(hit_rows)
+                normal[:, near] = self._towards(face, displacement.T[hit_rows]).T
         return t, normal
 
     def near(
@@ -176,16 +178,16 @@ class Nearby:
         if not self._empty and n:
             if self._grid is None:
                 self._grid = self._distances()
-            asked = np.flatnonzero(self._grid.at_least(x, y, z) <= reach)
-            points = np.stack([x[asked], y[asked], z[asked]], axis=1).astype(np.float64)
-            _, _, place, distance = self.closest(points, threads, reach[asked] * END)
-            met = np.flatnonzero(distance.astype(np.float32) <= reach[asked])
-            away = (points[met] - place[met]) / np.maximum(distance[met], 1e-12)[:, None]
-            t[asked[met]] = distance[met]
-            normal[:, asked[met]] = away.T
+            candidates = np.flatnonzero(self._grid.at_least(x, y, z) <= reach)
+            points = np.stack([x[candidates], y[candidates], z[candidates]], axis=1).astype(np.float64)
+            _, _, place, distance = self.closest(points, threads, reach[candidates] * END)
+            hit_rows = np.flatnonzero(distance.astype(np.float32) <= reach[candidates])
+            away = (points[hit_rows] - place[hit_rows]) / np.maximum(distance[hit_rows], 1e-12)[:, None]
+            t[candidates[hit_rows]] = distance[hit_rows]
+            normal[:, candidates[hit_rows]] = away.T
         return FeelerHits(np.isfinite(t), t, *normal)
 
-    def apart(
+    def signed_distances(
         self, x: NDArray[Any], y: NDArray[Any], z: NDArray[Any], within: NDArray[Any] | float, threads: int = 1
     ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         """Return the signed distance (mm, float32[n]) of positions from the meshes, negative inside, and the unit direction out,
@@ -194,16 +196,16 @@ class Nearby:
         Inside means behind the nearest face. Slow far from the surface."""
         grid = self._grid_for((x, y, z))
         if grid is None:
-            return self._apart(np.stack([x, y, z], axis=1).astype(np.float64), within, threads)
-        found, left = grid.apart((x, y, z), threads)
+            return self._signed_distances(np.stack([x, y, z], axis=1).astype(np.float64), within, threads)
+        results, left = grid.signed_distances((x, y, z), threads)
         if left:
-            asked = np.flatnonzero(np.isnan(found[0]))
-            points = np.stack([each.take(asked) for each in (x, y, z)], axis=1).astype(np.float64)
-            most = np.broadcast_to(np.asarray(within), (len(x),)).take(asked)
-            found[0, asked], found[1:, asked] = self._apart(points, most, threads)
-        return found[0], found[1:]
+            unknown_rows = np.flatnonzero(np.isnan(results[0]))
+            points = np.stack([each.take(unknown_rows) for each in (x, y, z)], axis=1).astype(np.float64)
+            most = np.broadcast_to(np.asarray(within), (len(x),)).take(unknown_rows)
+            results[0, unknown_rows], results[1:, unknown_rows] = self._signed_distances(points, most, threads)
+        return results[0], results[1:]
 
-    def _apart(
+    def _signed_distances(
         self, points: Vectors, within: NDArray[Any] | float, threads: int
     ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         mesh, face, place, distance = self.closest(points, threads, within)

@@ -8,22 +8,35 @@ import numpy as np
 from antdsl.casting.faces import nearest_on, square_of
 from antdsl.casting.grid_rays import Grid, Three
 from antdsl.casting.tolerances import BEYOND, FURTHER, RINGS, TOUCHING, UNSURE
-from antdsl.machine_code.kernels import BOOL, F32, F64, I64, Array1, Array2, Strided2, called, fetch_ahead, inlined, kernel, whole
+from antdsl.machine_code.kernels import (
+    BOOL,
+    F32,
+    F64,
+    I64,
+    Array1,
+    Array2,
+    Strided2,
+    called,
+    fetch_ahead,
+    inlined,
+    kernel,
+    nearest_integer,
+)
 from antdsl.numerics.kernel_vectors import Vec3, Vec3F32, minus
 
 _FETCHED = 12  # prefetched faces of a row of cubes
 
 
 @kernel
-def apart(grid: Grid, places: Three, found: Array2[F32], begin: I64, end: I64) -> I64:
-    """As `TriangleGrid.apart` for positions `begin` to `end` (exclusive), into `found`: signed distance and direction out. The
+def signed_distances(grid: Grid, positions: Three, results: Array2[F32], begin: I64, end: I64) -> I64:
+    """As `TriangleGrid.apart` for positions `begin` to `end` (exclusive), into `results`: signed distance and direction out. The
     distance is NaN where the grid cannot tell; returns the number of these."""
-    x, y, z = places
+    x, y, z = positions
     count = 0
     for i in range(begin, end):
         gap, out = way_out(grid, (x[i], y[i], z[i]), np.inf)
         count += 1 if gap != gap else 0
-        found[0, i], found[1, i], found[2, i], found[3, i] = gap, out[0], out[1], out[2]
+        results[0, i], results[1, i], results[2, i], results[3, i] = gap, out[0], out[1], out[2]
     return count
 
 
@@ -95,7 +108,7 @@ def fetch_lists(grid: Grid, rows: Array1[I64], count: I64) -> None:
 
 @inlined
 def _layer(at: F64, low: F64, part: F64, size: I64) -> I64:
-    return min(max(whole(np.floor((at - low) * part)), 0), size - 1)
+    return min(max(nearest_integer(np.floor((at - low) * part)), 0), size - 1)
 
 
 @called
@@ -112,7 +125,7 @@ def _nearest(grid: Grid, p: Vec3, within: F64) -> tuple[F64, I64, Vec3]:
     best, face, place, least = np.inf, FURTHER, p, np.inf
     # How far the nearest that has the place before it is at most, and both; how far faces on either side matter.
     ahead, until, before_it, behind_it = np.inf, np.inf, within + off, np.inf
-    before, second, third = FURTHER, FURTHER, FURTHER  # faces queried last: neighbouring cubes contain them too
+    latest, second, third = FURTHER, FURTHER, FURTHER  # faces queried last: neighbouring cubes contain them too
     if not (_around(ax, size[0]) and _around(ay, size[1]) and _around(az, size[2])):
         return best, face, place
     mx, my, mz = _middle(ax, size[0]), _middle(ay, size[1]), _middle(az, size[2])
@@ -131,7 +144,7 @@ def _nearest(grid: Grid, p: Vec3, within: F64) -> tuple[F64, I64, Vec3]:
                     last = high if side else z
                     if side or abs(z - mz) == ring:
                         for k in range(first[row + z], first[row + last + 1]):
-                            above, from_ball = _apart(bound, k, p)
+                            above, from_ball = _plane_and_ball(bound, k, p)
                             if above > off:
                                 if from_ball < ahead:
                                     ahead = from_ball
@@ -143,9 +156,9 @@ def _nearest(grid: Grid, p: Vec3, within: F64) -> tuple[F64, I64, Vec3]:
                             elif _farther(np.float64(bound[k, 7]) + off, above, from_ball, behind_it):
                                 continue
                             f = listed[k]
-                            if f == face or before == f or second == f or third == f:
+                            if f == face or latest == f or second == f or third == f:
                                 continue
-                            before, second, third = f, before, second
+                            latest, second, third = f, latest, second
                             q = nearest_on(corners, f, p)
                             d = square_of(minus(q, p))
                             if d < best or (d == best and f < face):
@@ -165,7 +178,7 @@ def _nearest(grid: Grid, p: Vec3, within: F64) -> tuple[F64, I64, Vec3]:
 
 
 @inlined
-def _apart(bound: Array2[F32], k: I64, p: Vec3) -> tuple[F64, F64]:
+def _plane_and_ball(bound: Array2[F32], k: I64, p: Vec3) -> tuple[F64, F64]:
     """Return a point's height above a face's plane, and its squared distance from the centre of the face's bounding ball."""
     nx, ny, nz = np.float64(bound[k, 0]), np.float64(bound[k, 1]), np.float64(bound[k, 2])
     above = ((nx * p[0] + ny * p[1]) + nz * p[2]) + np.float64(bound[k, 3])
@@ -181,8 +194,8 @@ def _farther(away: F64, above: F64, square: F64, least: F64) -> BOOL:
         return True
     across = square - above * above
     # How far it is along the plane at most, if it is no farther than `least`.
-    room = least * least - above * above
-    return across > away * away and across > away * away + room + 2.0 * away * np.sqrt(room)
+    margin = least * least - above * above
+    return across > away * away and across > away * away + margin + 2.0 * away * np.sqrt(margin)
 
 
 @inlined

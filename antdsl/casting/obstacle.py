@@ -32,8 +32,8 @@ class Obstacle(Protocol):
     ) -> FeelerHits:
         """Return what lies within `reach` (one or float[n]) of positions along unit directions."""
 
-    def felt(self, places: Arrays, asks: Sequence[Ask], threads: int = 1) -> list[tuple[int, NDArray[np.intp]]]:
-        """Write what feelers touch, for several requests together, each by some of n agents. `places`: x y z, and the distance
+    def feel_batch(self, positions: Arrays, asks: Sequence[Ask], threads: int = 1) -> list[tuple[int, NDArray[np.intp]]]:
+        """Write what feelers touch, for several requests together, each by some of n agents. `positions`: x y z, and the distance
         (mm) free of surface. Each request has ways (x y z) of any length and their reach, and result arrays: hit, distance and
         normal (x y z), initialised to no hit. Returns, with the number of each request, the rows that still need `feelers`."""
 

@@ -62,12 +62,12 @@ class PictureRays:
     ) -> NDArray[np.bool_]:
         """Whether anything lies on each ray before `far` lengths of its direction."""
         n = len(direction)
-        met = np.zeros(n, np.bool_)
+        is_occluded = np.zeros(n, np.bool_)
         for start in range(0, n if self.faces else 0, _CHUNK):
             own = slice(start, min(start + _CHUNK, n))
             rays = _tensor(self._rays(origin, direction, own))
-            met[own] = self._scene.test_occlusions(rays, tnear=0.0, tfar=far, nthreads=threads).numpy()
-        return met
+            is_occluded[own] = self._scene.test_occlusions(rays, tnear=0.0, tfar=far, nthreads=threads).numpy()
+        return is_occluded
 
     def _rays(self, origin: NDArray[Any], direction: NDArray[np.float32], own: slice) -> NDArray[np.float32]:
         rays = np.empty((own.stop - own.start, 6), np.float32)

@@ -54,22 +54,22 @@ def _cells(
                 todo.append((quarters[a : a + _PIECE], names[a : a + _PIECE]))
         if thin.any():
             for slices, which in _slices(tri[thin]):
-                for found in _cells(slices, name[thin][which], exact, margin):
-                    yield _each_once(*found)
+                for pairs in _cells(slices, name[thin][which], exact, margin):
+                    yield _each_once(*pairs)
 
 
 def _each_once(cells: NDArray[np.int64], name: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Return the pairs without most duplicates: halves of a slice share cells, and so do neighbouring parts."""
     least = cells.min(axis=0, initial=np.iinfo(np.int64).max)
     key = name - name.min(initial=0)
-    room = float(key.max(initial=0)) + 1
+    key_count = float(key.max(initial=0)) + 1
     for axis in range(3):
         span = int(cells[:, axis].max(initial=least[axis]) - least[axis]) + 1
-        key, room = key * span + (cells[:, axis] - least[axis]), room * span
-    if room >= _NUMBERS:
+        key, key_count = key * span + (cells[:, axis] - least[axis]), key_count * span
+    if key_count >= _NUMBERS:
         return cells, name
-    kept = np.unique(key, return_index=True)[1]
-    return cells[kept], name[kept]
+    first_rows = np.unique(key, return_index=True)[1]
+    return cells[first_rows], name[first_rows]
 
 
 def _are_thin(tri: NDArray[np.float64]) -> NDArray[np.bool_]:
@@ -134,8 +134,8 @@ def _box_cells(
     cells = low[which]
     rows, along = np.divmod(step, nx)
     layers, across = np.divmod(rows, ny)
-    for axis, way in enumerate((along, across, layers)):
-        cells[:, axis] += way
+    for axis, offsets in enumerate((along, across, layers)):
+        cells[:, axis] += offsets
     if exact:
         flat = np.ascontiguousarray(tri.reshape(-1, 9).T)
         parts = [slice(at, at + _TESTED) for at in range(0, len(which), _TESTED)]

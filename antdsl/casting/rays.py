@@ -18,11 +18,11 @@ from antdsl.casting.tolerances import FURTHER, NOTHING
 from antdsl.casting.triangle_grid import TriangleGrid
 
 Mesh = tuple[Vectors, NDArray[np.int32]]
-Met = tuple[Index, Vectors, Index, Vectors]
+RayHits = tuple[Index, Vectors, Index, Vectors]
 
 _CHUNK = 1 << 16  # rays at once
 _AGAIN = 16  # faces that a ray may pass by at less than a hair
-_APART = 8.0  # hairs further away from the nearest face: from there one that is as near is nearer
+_NUDGE_HAIRS = 8.0  # hairs further away from the nearest face: from there one that is as near is nearer
 _FEW = 128  # rays: up to this number, one cast to the end of the scene is faster than two queries
 _FARTHEST = 1e15  # mm: from much farther off, Open3D names no nearest face, because its squares are float32
 FAR = 2000.0  # mm; nearer to zero float32 is a ten-thousandth of a millimetre at worst
@@ -125,10 +125,12 @@ class RayScene(Nearby):
         weights, normal = np.zeros((n, 3)), np.zeros((n, 3), np.float32)
         for start in range(0, n, _CHUNK):
             rays = slice(start, start + _CHUNK)
-            way = np.ascontiguousarray(direction[rays], np.float64)
-            met, here, face, at = self._first(np.asarray(origin[rays], np.float64) - self.origin, way, np.inf, threads)
-            rows = start + met
-            t[rows], weights[rows], normal[rows] = here, at, self._towards(face, way[met])
+            directions = np.ascontiguousarray(direction[rays], np.float64)
+            hit_rows, fractions, face, at = self._first(
+                np.asarray(origin[rays], np.float64) - self.origin, directions, np.inf, threads
+            )
+            rows = start + hit_rows
+            t[rows], weights[rows], normal[rows] = fractions, at, self._towards(face, directions[hit_rows])
             mesh[rows], local[rows] = self._counted(face)
         return Hits(t, mesh, local, weights[:, 1], weights[:, 2], normal)
 
@@ -141,16 +143,16 @@ class RayScene(Nearby):
         return which, t, *self._counted(face)
 
     def faced(
-        self, origin: Vectors, way: Vectors, normals: Vectors, named: Index, threads: int = 1
+        self, origin: Vectors, displacement: Vectors, normals: Vectors, named: Index, threads: int = 1
     ) -> tuple[Index, Vectors, Vectors]:
-        """Return the rays that hit between `origin` [n,3] and `origin + way`, ascending; the part of `way` at the hit; and the
-        normal (3, k). Normals come from `normals` (3, m), by the `named` number of each face of the scene."""
+        """Return the rays that hit between `origin` [n,3] and `origin + way`, ascending; the part of `displacement` at the hit;
+        and the normal (3, k). Normals come from `normals` (3, m), by the `named` number of each face of the scene."""
         grid = self._triangles()
         if grid is not None:
-            found, left = grid.faced(origin, way, normals, named, threads)
+            results, left = grid.faced(origin, displacement, normals, named, threads)
             if not left:
-                return found
-        which, part, face = self._within(origin - self.origin, way, threads)
+                return results
+        which, part, face = self._within(origin - self.origin, displacement, threads)
         return which, part, normals.take(named.take(face), axis=1)
 
     def _triangles(self) -> TriangleGrid | None:
@@ -160,32 +162,35 @@ class RayScene(Nearby):
             self._short = TriangleGrid.of(self._faces, self.origin, self._lasting)
         return self._short
 
-    def _within(self, origin: Vectors, way: Vectors, threads: int, most_hit: bool = False) -> tuple[Index, Vectors, Index]:
-        """As `_first` within one length of `way`, without weights; short rays use the grid."""
+    def _within(
+        self, origin: Vectors, displacement: Vectors, threads: int, most_hit: bool = False
+    ) -> tuple[Index, Vectors, Index]:
+        """As `_first` within one length of `displacement`, without weights; short rays use the grid."""
         grid = self._triangles()
         if grid is None:
-            return self._first(origin, way, 1.0, threads, most_hit)[:3]
-        t, face = grid.first(origin, way, threads)
+            return self._first(origin, displacement, 1.0, threads, most_hit)[:3]
+        t, face = grid.first(origin, displacement, threads)
         further = np.flatnonzero(face == FURTHER)
         if further.size:
             face[further] = NOTHING
-            rows, part, named, _ = self._first(origin[further], way[further], 1.0, threads, most_hit)
+            rows, part, named, _ = self._first(origin[further], displacement[further], 1.0, threads, most_hit)
             t[further[rows]], face[further[rows]] = part, named
-        met = np.flatnonzero(face >= 0)
-        return met, t.take(met), face.take(met)
+        hit_rows = np.flatnonzero(face >= 0)
+        return hit_rows, t.take(hit_rows), face.take(hit_rows)
 
-    def _first(self, origin: Vectors, way: Vectors, most: float, threads: int, most_hit: bool = False) -> Met:
-        """Return the rays that hit within `most` lengths of `way` [n,3], from points [n,3] relative to the scene's origin. The
-        result has their numbers, ascending, the part of `way`, the face over all meshes and the weights of its corners.
+    def _first(self, origin: Vectors, displacement: Vectors, most: float, threads: int, most_hit: bool = False) -> RayHits:
+        """Return the rays that hit within `most` lengths of `displacement` [n,3], from points [n,3] relative to the scene's
+        origin. The result has their numbers, ascending, the part of `displacement`, the face over all meshes and the weights of
+        its corners.
 
         Hits within a `hair` of a ray's start are ignored. Open3D searches a little too far. It also searches again behind each
         face that it reports and the ray does not hit: one that the ray starts from or misses by less than a `hair`."""
         nothing = np.empty(0, np.int64), np.empty(0), np.empty(0, np.int64), np.empty((0, 3))
         if self._empty:
             return nothing
-        rows, a, w = np.arange(len(origin)), origin, way
+        rows, a, w = np.arange(len(origin)), origin, displacement
         begin: Vectors | None = None
-        found: list[Met] = []
+        batches: list[RayHits] = []
         for _ in range(_AGAIN):
             if not rows.size:
                 break
@@ -206,32 +211,32 @@ class RayScene(Nearby):
                 named[part > np.float32(most * END)] = -1
             at: NDArray[Any] = part if begin is None else begin + part
             if named.min() < 0:
-                some = np.flatnonzero(named >= 0)
-                if not some.size:
+                named_rows = np.flatnonzero(named >= 0)
+                if not named_rows.size:
                     break
-                rows, at, named = rows.take(some), at.take(some), named.take(some)
-                a, w = a.take(some, axis=0), w.take(some, axis=0)
-            here, weights, hit, hair = self._faces.judged(named, a, w, at)
+                rows, at, named = rows.take(named_rows), at.take(named_rows), named.take(named_rows)
+                a, w = a.take(named_rows, axis=0), w.take(named_rows, axis=0)
+            fractions, weights, hit, hair = self._faces.judged(named, a, w, at)
             if hit.all():
-                found.append((rows, here, named, weights))
+                batches.append((rows, fractions, named, weights))
                 break
-            found.append((rows[hit], here[hit], named[hit], weights[hit]))
+            batches.append((rows[hit], fractions[hit], named[hit], weights[hit]))
             behind = np.flatnonzero(~hit)
             rows, a, w, begin = rows[behind], a[behind], w[behind], (at + 2.0 * hair)[behind]
-        if not found:
+        if not batches:
             return nothing
-        if len(found) > 1:
-            every, parts, faces, at_weights = zip(*found, strict=True)
-            rows, here = np.concatenate(every), np.concatenate(parts)
+        if len(batches) > 1:
+            every, parts, faces, at_weights = zip(*batches, strict=True)
+            rows, fractions = np.concatenate(every), np.concatenate(parts)
             named, weights = np.concatenate(faces), np.concatenate(at_weights)
             order = np.argsort(rows)
-            found = [(rows[order], here[order], named[order], weights[order])]
-        rows, here, named, weights = found[0]
-        near = here <= most
+            batches = [(rows[order], fractions[order], named[order], weights[order])]
+        rows, fractions, named, weights = batches[0]
+        near = fractions <= most
         if near.all():
-            return found[0]
-        met = np.flatnonzero(near)
-        return rows.take(met), here.take(met), named.take(met), weights.take(met, axis=0)
+            return batches[0]
+        near_rows = np.flatnonzero(near)
+        return rows.take(near_rows), fractions.take(near_rows), named.take(near_rows), weights.take(near_rows, axis=0)
 
     def _named(self, rays: NDArray[np.float32], threads: int) -> tuple[NDArray[np.float32], Index]:
         """Return the approximate part of the length at which Open3D reports a face for prepared rays, and the face over all
@@ -266,8 +271,10 @@ class RayScene(Nearby):
     def _occluded(self, rays: NDArray[np.float32], far: float, threads: int) -> NDArray[np.bool_]:
         if self._empty or len(rays) == 0:
             return np.zeros(len(rays), bool)
-        met: NDArray[np.bool_] = self._scene.test_occlusions(self._tensor(rays), tnear=0.0, tfar=far, nthreads=threads).numpy()
-        return met
+        is_occluded: NDArray[np.bool_] = self._scene.test_occlusions(
+            self._tensor(rays), tnear=0.0, tfar=far, nthreads=threads
+        ).numpy()
+        return is_occluded
 
     # ---- nearest faces
 
@@ -301,17 +308,19 @@ class RayScene(Nearby):
         place, square, face = self._faces.nearest(local, self._nearest(local, threads))
         # A little further away from it what is as near on another side is nearer: so it is known too, whichever was named.
         distance = np.sqrt(square)
-        asked = np.flatnonzero(distance <= within)
-        if asked.size:
-            local, square, one = local[asked], square[asked], face[asked]
-            away = (local - place[asked]) * (_APART * self._faces.hair / np.maximum(distance[asked], 1e-30))[:, None]
-            there, apart, other = self._faces.nearest(local, self._nearest(local + away, threads))
-            nearer = np.flatnonzero((apart < square) | ((apart == square) & (other < one)))
-            rows = asked[nearer]
-            place[rows], face[rows], distance[rows] = there[nearer], other[nearer], np.sqrt(apart[nearer])
+        candidates = np.flatnonzero(distance <= within)
+        if candidates.size:
+            local, square, one = local[candidates], square[candidates], face[candidates]
+            away = (local - place[candidates]) * (_NUDGE_HAIRS * self._faces.hair / np.maximum(distance[candidates], 1e-30))[
+                :, None
+            ]
+            other_places, other_squares, other = self._faces.nearest(local, self._nearest(local + away, threads))
+            nearer = np.flatnonzero((other_squares < square) | ((other_squares == square) & (other < one)))
+            rows = candidates[nearer]
+            place[rows], face[rows], distance[rows] = other_places[nearer], other[nearer], np.sqrt(other_squares[nearer])
         return place, distance, face
 
-    def _about(self, points: Vectors) -> Vectors:
+    def _bound_distances(self, points: Vectors) -> Vectors:
         """Return distances [n] to the nearest face, or to one as near within float32 error: for bounds."""
         local = points - self.origin
         gap = nearest_on_triangle(local, self._faces.corners.take(self._nearest(local, 1), axis=0)) - local
@@ -329,9 +338,9 @@ class RayScene(Nearby):
     def depth(self, points: Vectors, threads: int = 1) -> NDArray[np.float64]:
         """Return how far inside each point [n,3] is, in mm: the distance to the surface if at least two of three rays cross an
         odd number of faces, else 0. Meshes are assumed to be closed."""
-        deep = np.zeros(len(points))
+        depths = np.zeros(len(points))
         if not self._empty and len(points):
             local = self._tensor((np.asarray(points, np.float64) - self.origin).astype(np.float32))
             inside = np.flatnonzero(self._scene.compute_occupancy(local, nthreads=threads, nsamples=3).numpy() > 0.5)
-            deep[inside] = self.closest(points[inside], threads)[3]
-        return deep
+            depths[inside] = self.closest(points[inside], threads)[3]
+        return depths

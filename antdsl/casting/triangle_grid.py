@@ -81,48 +81,51 @@ class TriangleGrid:
 
     # ---- rays
 
-    def first(self, origin: Floats, way: Floats, threads: int = 1) -> tuple[Floats, Index]:
-        """Return the first face that rays from `origin` [n,3] meet within their `way` [n,3], and the part of `way` there. Hits
-        within a `hair` of the start are ignored. The face is NOTHING if there is none, FURTHER for rays that are too long."""
+    def first(self, origin: Floats, displacement: Floats, threads: int = 1) -> tuple[Floats, Index]:
+        """Return the first face that rays from `origin` [n,3] meet within their `displacement` [n,3], and the part of
+        `displacement` there. Hits within a `hair` of the start are ignored. The face is NOTHING if there is none, FURTHER for
+        rays that are too long."""
         t, face = np.empty(len(origin)), np.empty(len(origin), np.int64)
-        work = partial(grid_rays.firsts, self.tables, origin, way, t, face)
+        work = partial(grid_rays.firsts, self.tables, origin, displacement, t, face)
         parallel.in_parts(work, len(origin), threads, _RAYS)
         return t, face
 
     def faced(
-        self, origin: Floats, way: Floats, normals: Floats, named: Index, threads: int = 1
+        self, origin: Floats, displacement: Floats, normals: Floats, named: Index, threads: int = 1
     ) -> tuple[tuple[Index, Floats, Floats], int]:
         """Return the rays from world positions for which `first` finds a face: numbers, ascending, the part of the length, and
         the normal (3, k). Normals come from `normals` (3, m), by the `named` number of each face. Also returns the number of rays
         that the grid cannot resolve."""
-        which, found = np.empty(len(origin), np.int64), np.empty((4, len(origin)))
-        work = partial(grid_rays.faced, self.tables, origin, way, normals, named, which, found)
+        which, results = np.empty(len(origin), np.int64), np.empty((4, len(origin)))
+        work = partial(grid_rays.faced, self.tables, origin, displacement, normals, named, which, results)
         parts = parallel.in_parts(work, len(origin), threads, _RAYS)
-        which, found = parallel.joined(parts, which, found)
-        return (which, found[0], found[1:]), sum([left for _, _, left in parts])
+        which, results = parallel.joined(parts, which, results)
+        return (which, results[0], results[1:]), sum([left for _, _, left in parts])
 
     def feelers(self, place: Columns, direction: Columns, reach: Singles) -> tuple[Singles, int]:
         """Return the hits of feelers as long as `reach`, from positions along unit directions, float32 columns in the world. The
         result is float32[4,n]: distance (inf = no hit, NaN = the grid cannot answer) and unit normal towards the feeler's origin.
         Return also the number of feelers that it cannot answer."""
-        found = np.empty((4, len(reach)), np.float32)
-        return found, grid_rays.feelers(self.tables, _plain(*place, *direction, reach), found)
+        results = np.empty((4, len(reach)), np.float32)
+        return results, grid_rays.feelers(self.tables, _plain(*place, *direction, reach), results)
 
-    def felt(self, places: Arrays, asking: NDArray[np.bool_], ways: Arrays, found: Arrays, threads: int = 1) -> int:
-        """As `feelers`, for those of n positions that are `asking`. `places`: x y z and the distance free of faces; `ways`: x y z
-        of any length, and the reach. Writes `found` (hit, distance, normal x y z) for rows that touch something or that the grid
-        cannot resolve."""
-        work = partial(grid_rays.felt, self.tables, places, asking, ways, found)
+    def feel_askers(
+        self, positions: Arrays, asking: NDArray[np.bool_], directions: Arrays, results: Arrays, threads: int = 1
+    ) -> int:
+        """As `feelers`, for those of n positions that are `asking`. `positions`: x y z and the distance free of faces;
+        `directions`: x y z of any length, and the reach. Writes `results` (hit, distance, normal x y z) for rows that touch
+        something or that the grid cannot resolve."""
+        work = partial(grid_rays.feel_askers, self.tables, positions, asking, directions, results)
         return sum(parallel.in_parts(work, len(asking), threads))
 
     # ---- nearest faces
 
-    def apart(self, place: Columns, threads: int = 1) -> tuple[Singles, int]:
+    def signed_distances(self, place: Columns, threads: int = 1) -> tuple[Singles, int]:
         """Return the signed distance (mm) to the faces and the unit direction out, float32[4,n]. It is negative behind the
         nearest face and NaN where the grid cannot tell. Also returns how many rows are NaN."""
-        found = np.empty((4, len(place[0])), np.float32)
-        work = partial(nearest_faces.apart, self.tables, _plain(*place), found)
-        return found, sum(parallel.in_parts(work, len(place[0]), threads, _RAYS))
+        results = np.empty((4, len(place[0])), np.float32)
+        work = partial(nearest_faces.signed_distances, self.tables, _plain(*place), results)
+        return results, sum(parallel.in_parts(work, len(place[0]), threads, _RAYS))
 
     def nearest(self, points: Floats) -> tuple[Floats, Floats, Index]:
         """Return the position nearest to each point [n,3], its squared distance and its face; FURTHER if no face is near enough

@@ -184,8 +184,8 @@ def _require_text(words: list[str]) -> None:
         except UnicodeEncodeError:
             from antdsl.diagnostics.model import printable
 
-            shown = printable(os.fsencode(word).decode(errors="backslashreplace"))
-            raise Stop(Exit.USAGE, f"error: the name `{shown}` is not UTF-8", "rename the file or folder") from None
+            display_name = printable(os.fsencode(word).decode(errors="backslashreplace"))
+            raise Stop(Exit.USAGE, f"error: the name `{display_name}` is not UTF-8", "rename the file or folder") from None
 
 
 def _require_order(words: list[str]) -> None:
@@ -216,8 +216,8 @@ def _command() -> int:
         print("interrupted", file=sys.stderr)
         return Exit.INTERRUPTED
     except Exception as problem:
-        if (found := machine_failure(problem)) is not None:
-            end = failure(found)
+        if (cause := machine_failure(problem)) is not None:
+            end = failure(cause)
             print(end.message, end.hint, sep="\n", file=sys.stderr)
             return end.code
         from antdsl.machine_code.machine import NoMachineCode

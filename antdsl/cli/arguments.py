@@ -18,13 +18,13 @@ if TYPE_CHECKING:
 
 def pairs(words: Iterable[str], flag: str) -> dict[str, str]:
     """Return `NAME=VALUE` words as a mapping; raise a usage error for any other word."""
-    found = {}
+    mapping = {}
     for word in words:
         name, sign, value = word.partition("=")
         if not sign or not name.strip() or not value.strip():
             raise typer.BadParameter(f"write NAME=VALUE, not `{word}`", param_hint=flag)
-        found[name.strip()] = value.strip()
-    return found
+        mapping[name.strip()] = value.strip()
+    return mapping
 
 
 STDIN = Path("-")
@@ -37,15 +37,15 @@ def standard_input() -> bytes:
 
 def grants(words: Iterable[str]) -> dict[str, Path]:
     """Return `--root NAME=DIR` words as a mapping; the folders must exist."""
-    found = {}
+    folders = {}
     for name, folder in pairs(words, "--root").items():
         path = Path(folder)
         if not re.fullmatch("[A-Za-z][A-Za-z0-9_]{1,31}", name):
             raise typer.BadParameter(f"`{name}` is not a name for a root (2 to 32 letters)", param_hint="--root")
         if not path.is_dir():
             raise typer.BadParameter(f"there is no folder `{folder}`", param_hint="--root")
-        found[name] = path.resolve()
-    return found
+        folders[name] = path.resolve()
+    return folders
 
 
 def require_scene(path: Path, hint: str = "SCENE") -> None:
@@ -57,8 +57,8 @@ def require_scene(path: Path, hint: str = "SCENE") -> None:
 
         scenes = [file for file in find_files([path])[0] if file.suffix != ".ant"]
         near = min(scenes, key=lambda file: (len(file.parts), str(file)), default=path / "scene.yaml")
-        shown = near if near.is_absolute() else f"./{near}"
-        raise typer.BadParameter(f"`{path}` is a folder; name a scene, such as `{shown}`", param_hint=hint)
+        display_path = near if near.is_absolute() else f"./{near}"
+        raise typer.BadParameter(f"`{path}` is a folder; name a scene, such as `{display_path}`", param_hint=hint)
 
 
 def frame_range(text: str | None, flag: str = "--frames") -> FrameRange | None:
@@ -78,7 +78,7 @@ def number_set(text: str | None, flag: str) -> frozenset[int] | None:
     """Return the integers of a list such as `3,8..12`; None for None."""
     if text is None:
         return None
-    found: set[int] = set()
+    numbers: set[int] = set()
     for word in text.split(","):
         first, dots, last = word.strip().partition("..")
         try:
@@ -87,8 +87,8 @@ def number_set(text: str | None, flag: str) -> frozenset[int] | None:
             low, high = 1, 0
         if not 0 <= low <= high or high - low > 1_000_000:
             raise typer.BadParameter(f"`{text}` is not a list of ids such as 3,8..12", param_hint=flag)
-        found.update(range(low, high + 1))
-    return frozenset(found)
+        numbers.update(range(low, high + 1))
+    return frozenset(numbers)
 
 
 def open_time(text: str | None, flag: str = "--shutter") -> tuple[float, float] | None:
@@ -96,10 +96,10 @@ def open_time(text: str | None, flag: str = "--shutter") -> tuple[float, float] 
     most one frame apart. None for None."""
     if text is None:
         return None
-    found = re.fullmatch(r"(-?\d*\.?\d+)\.\.(-?\d*\.?\d+)", text.strip(), re.ASCII)
-    if found is None or len(text) > 32:
+    match = re.fullmatch(r"(-?\d*\.?\d+)\.\.(-?\d*\.?\d+)", text.strip(), re.ASCII)
+    if match is None or len(text) > 32:
         raise typer.BadParameter(f"`{text}` is no time: write `-0.25..0.25`, in frames", param_hint=flag)
-    first, last = float(found[1]), float(found[2])
+    first, last = float(match[1]), float(match[2])
     if not -1 <= first < last <= 1 or last - first > 1:
         raise typer.BadParameter(
             f"`{text}` is not open for at most one frame, from -1 to 1; write `-0.25..0.25`", param_hint=flag

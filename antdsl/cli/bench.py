@@ -35,7 +35,7 @@ def bench(
     if list_:
         for case in CASES.values():
             sizes = ", ".join(f"{number:,}" for number in case.agents) or "as it is"
-            print_result(f"{case.name:<18}{case.about}: {sizes}")
+            print_result(f"{case.name:<18}{case.description}: {sizes}")
         return
     file_to_write(json_, "--json")
     with keeping_inputs({"--json": json_}) as inputs:
@@ -60,14 +60,14 @@ def bench(
             put(json_, (json.dumps(as_json(results), indent=1) + "\n").encode(), output)
 
 
-def _backends(asked: list[str]) -> list[str]:
+def _backends(names: list[str]) -> list[str]:
     """Return the requested backends, each once; without any, all but the slowest. Raises BadParameter for an unknown one."""
     from antdsl.runtime.backends import BACKENDS
 
-    for name in asked:
+    for name in names:
         if name not in BACKENDS:
             raise typer.BadParameter(f"there is no backend `{name}`; there are: {', '.join(BACKENDS)}", param_hint="--backend")
-    return list(dict.fromkeys(asked)) or [name for name in BACKENDS if name != SLOWEST]
+    return list(dict.fromkeys(names)) or [name for name in BACKENDS if name != SLOWEST]
 
 
 def _jobs(cases: list[str], agents: list[int]) -> list[tuple[str, int | None]]:
@@ -78,15 +78,15 @@ def _jobs(cases: list[str], agents: list[int]) -> list[tuple[str, int | None]]:
     if not cases:
         quick = [(case.name, agents or list(case.quick)) for case in CASES.values() if case.quick]
         return [(name, count) for name, counts in quick for count in counts]
-    found: list[tuple[str, int | None]] = []
+    jobs: list[tuple[str, int | None]] = []
     for name in cases:
         case = CASES.get(name)
         if case is None and not Path(name).is_file():
             raise typer.BadParameter(f"`{name}` is no case and no file; the cases are: {', '.join(CASES)}", param_hint="CASE")
         if Path(name).suffix == ".ant":
             raise typer.BadParameter(f"`{name}` is a program; name a scene that uses it", param_hint="CASE")
-        found += [(name, count) for count in agents or (case.agents if case is not None else ()) or (None,)]
-    return found
+        jobs += [(name, count) for count in agents or (case.agents if case is not None else ()) or (None,)]
+    return jobs
 
 
 def _openable(name: str) -> None:
@@ -107,12 +107,12 @@ def _measured(name: str, count: int | None, backends: list[str], turns: int, ste
 
     case = CASES.get(name)
     bound = case is not None and case.bound and benchmark_file("bound.py") is not None and machine.available()
-    alone = [_done(Job(name, count, (each,), turns, steps, threads, bound, full_run)) for each in backends]
-    together = _done(Job(name, count, tuple(backends), turns, steps, threads)) if len(backends) > 1 else None
+    alone = [_measure(Job(name, count, (each,), turns, steps, threads, bound, full_run)) for each in backends]
+    together = _measure(Job(name, count, tuple(backends), turns, steps, threads)) if len(backends) > 1 else None
     return Result(tuple(alone), together)
 
 
-def _done(job: Job) -> Measured:
+def _measure(job: Job) -> Measured:
     from antdsl.bench.costs import Failed, measured
 
     try:

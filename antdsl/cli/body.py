@@ -53,20 +53,20 @@ def body(
 
     roots = Roots(file.resolve().parent, grants(root))
     report = Report()
-    found: Definition | None
+    definition: Definition | None
     if str(file) in BODY_WORDS and not file.is_file():
-        found = library_body(str(file))
+        definition = library_body(str(file))
     else:
-        found, report = read_definition(file, roots, prim=prim, rate=rate)
+        definition, report = read_definition(file, roots, prim=prim, rate=rate)
     if as_json:
-        print_result(body_document(found, report), newline=False)
+        print_result(body_document(definition, report), newline=False)
     else:
         show(report)
-        if found is not None and not quiet and to is None:
-            for line in body_lines(found):
+        if definition is not None and not quiet and to is None:
+            for line in body_lines(definition):
                 print_result(line)
-    if found is not None and report.ok and to is not None:
-        _written(found, file, to, layer, quiet)
+    if definition is not None and report.ok and to is not None:
+        _written(definition, file, to, layer, quiet)
     if not report.ok:
         raise Stop(Exit.FINDINGS if as_json and verdict(report) is not Exit.INPUT_OUTPUT else verdict(report))
 
@@ -77,7 +77,7 @@ def _written(body: Definition, source: Path, to: Path, layer: str, quiet: bool) 
     from antdsl.bodies.files.gltf_written import write_gltf
     from antdsl.bodies.posed_body import own_layer
     from antdsl.cli.destinations import file_to_write, folder_to_write, keeping_inputs
-    from antdsl.whole import make_folder, write_whole
+    from antdsl.whole import make_folder, write_atomically
 
     kind = to.suffix.lower()
     if kind not in (".json", ".glb", ".gltf"):
@@ -98,7 +98,7 @@ def _written(body: Definition, source: Path, to: Path, layer: str, quiet: bool) 
         inputs.append(source)
     for path in (*parts, to.name):
         make_folder((to.parent / path).parent)
-        write_whole(to.parent / path, files[path])
+        write_atomically(to.parent / path, files[path])
     if not quiet:
         say(f"{to}, and {len(parts)} files in {to.parent / to.stem}" if parts else f"{to}: {len(files[to.name]):,} bytes")
         for note in notes:

@@ -56,8 +56,8 @@ def check(
     if explain is not None:
         _explain(explain)
         return
-    for wanted, flag in ((params, "--params"), (cost, "--cost"), (imports, "--imports")):
-        if wanted and format not in (Format.full, Format.concise):
+    for is_requested, flag in ((params, "--params"), (cost, "--cost"), (imports, "--imports")):
+        if is_requested and format not in (Format.full, Format.concise):
             raise typer.BadParameter("this is listed as text; ask for it without `--format`", param_hint=flag)
     if STDIN in (paths or []) and len(paths) > 1:
         raise typer.BadParameter("standard input is checked alone", param_hint="-")
@@ -83,10 +83,10 @@ def check(
         report = _strict(report)
     show(report, format.value)
     if format is Format.full and report.diagnostics:
-        shown = list(dict.fromkeys(each.code for each in without_ignored(report).sorted()))
-        others = ", ".join(f"`{code}`" for code in shown[1:4]) + (" …" if len(shown) > 4 else "")
-        if shown:
-            print_result(f"`antdsl check --explain {shown[0]}` says more{f'; so for {others}' if others else ''}\n")
+        codes = list(dict.fromkeys(each.code for each in without_ignored(report).sorted()))
+        others = ", ".join(f"`{code}`" for code in codes[1:4]) + (" …" if len(codes) > 4 else "")
+        if codes:
+            print_result(f"`antdsl check --explain {codes[0]}` says more{f'; so for {others}' if others else ''}\n")
     if params or cost:
         from antdsl.cli.printing.check_tables import cost_table, params_table, without, work_table
 
@@ -135,14 +135,14 @@ def _explain(word: str) -> None:
     from antdsl.cli.printing.pages import show, show_page
     from antdsl.diagnostics.codes import CODES
     from antdsl.diagnostics.suggestion import nearest_name
-    from antdsl.lsp.language import about, words
+    from antdsl.lsp.language import explain_word, words
     from antdsl.syntax.mistakes.number_slips import unit_help
     from antdsl.syntax.words import UNIT_NAMES
 
     if word in CODES:
         show_page(word)
         return
-    page = about(word.removesuffix("()"))
+    page = explain_word(word.removesuffix("()"))
     if page is not None:
         show(page)
         return

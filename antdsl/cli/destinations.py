@@ -14,7 +14,7 @@ from typing import TextIO
 import typer
 
 from antdsl.cli.exits import Exit, Stop
-from antdsl.whole import new_beside, write_whole
+from antdsl.whole import new_beside, write_atomically
 
 
 def file_to_write(path: Path | None, flag: str) -> None:
@@ -50,7 +50,7 @@ def put(path: Path | None, data: bytes, output: TextIO) -> None:
     if path is None or _same(path, Path(os.devnull)):
         return
     if not is_output(path):
-        write_whole(path, data)
+        write_atomically(path, data)
         return
     output.flush()
     output.buffer.write(data)
@@ -73,14 +73,18 @@ def folder_to_write(path: Path | None, flag: str, *names: str) -> None:
     """Make the same check for files of some names in a folder that is created if missing."""
     if path is None:
         return
-    there = next(each for each in (path.absolute(), *path.absolute().parents) if os.path.lexists(each))
-    if not there.is_dir():
-        raise Stop(Exit.INPUT_OUTPUT, f"error: `{there}` is a file, but a folder is needed there", f"name another with `{flag}`")
+    existing_parent = next(each for each in (path.absolute(), *path.absolute().parents) if os.path.lexists(each))
+    if not existing_parent.is_dir():
+        raise Stop(
+            Exit.INPUT_OUTPUT,
+            f"error: `{existing_parent}` is a file, but a folder is needed there",
+            f"name another with `{flag}`",
+        )
     for name in names:
         if (path / name).is_dir():
             words = f"error: `{path / name}` is a folder, and a file is to be put there"
             raise Stop(Exit.INPUT_OUTPUT, words, f"name another folder with `{flag}`")
-    _try(there / "antdsl", path, flag)
+    _try(existing_parent / "antdsl", path, flag)
 
 
 @contextmanager
@@ -93,9 +97,9 @@ def keeping_inputs(
     from antdsl.scene.paths import sought
 
     named: list[Path] = []
-    with sought() as found:
+    with sought() as sought_files:
         yield named
-    inputs = [*named, *found, *behaviours_folder().glob("*.ant")]
+    inputs = [*named, *sought_files, *behaviours_folder().glob("*.ant")]
     results = {flag: path for flag, path in files.items() if path is not None and not _same(path, Path(os.devnull))}
     for flag, path in results.items():
         if not is_output(path) and any(_same(path, each) for each in inputs):
@@ -104,13 +108,13 @@ def keeping_inputs(
         if others:
             raise typer.BadParameter(f"`{path}` is named by `{others[0]}` too; name another file", param_hint=flag)
     for flag, (folder, names) in (folders or {}).items():
-        kept = set(names)
-        lost = [] if folder is None else [each for each in inputs if each.exists() and _top(each, folder) in kept]
+        result_names = set(names)
+        lost = [] if folder is None else [each for each in inputs if each.exists() and _top(each, folder) in result_names]
         if lost:
             words = f"error: `{lost[0]}` is read here, and would be lost"
             raise Stop(Exit.USAGE, words, f"name another folder with `{flag}`")
         for other, path in results.items():
-            if folder is not None and _top(path, folder) in kept:
+            if folder is not None and _top(path, folder) in result_names:
                 raise typer.BadParameter(f"`{path}` has a name of what `{flag}` puts there; name another file", param_hint=other)
 
 
@@ -127,8 +131,8 @@ def _one_place(one: Path, other: Path) -> bool:
 
 def _top(path: Path, folder: Path) -> str | None:
     """Return the first path component below a folder on the way to a path; None if the path is not below it."""
-    way, start = Path(os.path.realpath(path)), os.path.realpath(folder)
-    return way.relative_to(start).parts[0] if way != Path(start) and way.is_relative_to(start) else None
+    real_path, start = Path(os.path.realpath(path)), os.path.realpath(folder)
+    return real_path.relative_to(start).parts[0] if real_path != Path(start) and real_path.is_relative_to(start) else None
 
 
 def _try(beside: Path, path: Path, flag: str) -> None:
@@ -136,5 +140,5 @@ def _try(beside: Path, path: Path, flag: str) -> None:
         new_beside(beside).unlink()
     except OSError as why:
         words = f"error: cannot write `{path}`: {(why.strerror or str(why)).lower()}"
-        room = "make room, or " if why.errno in (errno.ENOSPC, errno.EDQUOT) else ""
-        raise Stop(Exit.INPUT_OUTPUT, words, f"{room}name another place with `{flag}`") from None
+        advice = "make room, or " if why.errno in (errno.ENOSPC, errno.EDQUOT) else ""
+        raise Stop(Exit.INPUT_OUTPUT, words, f"{advice}name another place with `{flag}`") from None

@@ -66,21 +66,21 @@ def _package(package: str, problems: list[str]) -> None:
 
     from antdsl.casting.open3d_module import open3d
 
-    shown = _NAMES.get(package, package)
+    display_name = _NAMES.get(package, package)
     try:
         if package == "open3d":
             open3d()
         else:
             import_module(package)
     except Exception as problem:  # a broken binary package can raise anything
-        _tell(shown, False, f"{type(problem).__name__}: {problem}"[:160])
+        _tell(display_name, False, f"{type(problem).__name__}: {problem}"[:160])
         problems.append(
-            f"pip install {shown}"
+            f"pip install {display_name}"
             if package != "open3d"
             else "pip install open3d-cpu (Linux x86-64) or open3d, after the system libraries"
         )
         return
-    _tell(shown, True, _version(shown))
+    _tell(display_name, True, _version(display_name))
 
 
 def _version(name: str) -> str:

@@ -58,9 +58,9 @@ _STARTS = frozenset(["subprocess", "multiprocessing.popen_fork", "multiprocessin
 
 def is_out_of_memory(problem: BaseException | None) -> bool:
     """Return whether an error, or one of its causes, means that the system refused memory, a thread or a process."""
-    seen: set[int] = set()
-    while problem is not None and id(problem) not in seen:
-        seen.add(id(problem))
+    visited: set[int] = set()
+    while problem is not None and id(problem) not in visited:
+        visited.add(id(problem))
         words = str(problem).lower()
         if isinstance(problem, MemoryError) or (isinstance(problem, OSError) and _has_no_process(problem)):
             return True
@@ -95,10 +95,10 @@ def report_failures(what: str, again: str = AGAIN) -> Iterator[None]:
     except (BrokenPipeError, Stop):  # the reader of standard output is gone: that is not the disk
         raise
     except Exception as problem:
-        found = machine_failure(problem)
-        if found is None:
+        cause = machine_failure(problem)
+        if cause is None:
             raise
-        raise failure(found, what, again) from None
+        raise failure(cause, what, again) from None
 
 
 def machine_failure(problem: Exception) -> OSError | MemoryError | None:

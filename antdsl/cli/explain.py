@@ -31,7 +31,7 @@ def explain(
     from antdsl.runtime import BindError
 
     try:
-        found = explained(
+        explanation = explained(
             open_cache(cache), agent, frame, species=species, scene=scene, grants=grants(root), threads=cores()
         )  # fmt: skip
     except ManifestError as why:
@@ -48,6 +48,6 @@ def explain(
     if json:
         from json import dumps
 
-        print_result(dumps(as_json(found), indent=1, ensure_ascii=False, allow_nan=False))
+        print_result(dumps(as_json(explanation), indent=1, ensure_ascii=False, allow_nan=False))
         return
-    print_result(tell(found), newline=False)
+    print_result(tell(explanation), newline=False)

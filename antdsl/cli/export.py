@@ -126,7 +126,7 @@ def export(
         words = f"`{to.name}` as `{word}` is one file of all frames: leave out `####`"
         raise typer.BadParameter(words, param_hint="--to")
     between, chosen = frame_range(frames), number_set(ids, "--ids")
-    wanted = {
+    all_options = {
         "skeletons": skeletons,
         "shutter": open_time(shutter),
         "samples": samples,
@@ -134,11 +134,11 @@ def export(
         "copies": copies,
         "close": close,
     }
-    given = {name: value for name, value in wanted.items() if value is not None}
-    for name in sorted(given.keys() - export.takes(word)):
+    set_options = {name: value for name, value in all_options.items() if value is not None}
+    for name in sorted(set_options.keys() - export.takes(word)):
         forms = [f"`{each.endings[0]}` as `{w}`" for each in EXPORTS for w in each.forms if name in each.takes(w)]
         raise typer.BadParameter(f"`{to.name}` as `{word}` does not take this; {', '.join(forms)} does", param_hint=f"--{name}")
-    if "samples" in given and "shutter" not in given:
+    if "samples" in set_options and "shutter" not in set_options:
         raise typer.BadParameter("say when they are: `--shutter -0.25..0.25`", param_hint="--samples")
     if scheduler and word not in export.each:
         spread = ", ".join(f"`{each.endings[0]}`" for each in EXPORTS if each.each)
@@ -146,36 +146,38 @@ def export(
             f"`{to.name}` as `{word}` is one file, which is written here; {spread} have a file for each frame",
             param_hint="--scheduler",
         )
-    options = (export.options[word](**given),) if word in export.options else ()
+    options = (export.options[word](**set_options),) if word in export.options else ()
     if word in export.each or not to.absolute().parent.is_dir():
         folder_to_write(to.parent, "--to")
     else:
         file_to_write(to, "--to")
     try:
-        found = open_cache(cache)
-        there = [f for f in found.frames() if between is None or between.first <= f <= between.last]
-        if not there:
+        opened_cache = open_cache(cache)
+        cache_frames = [f for f in opened_cache.frames() if between is None or between.first <= f <= between.last]
+        if not cache_frames:
             raise Stop(Exit.INPUT_OUTPUT, "error: the cache has none of these frames", "`antdsl info CACHE` says which it has")
-        paths = export.paths(word, to, there)
+        paths = export.paths(word, to, cache_frames)
         if word in export.each:
             folder_to_write(to.parent, "--to", *(path.name for path in paths))
             with keeping_inputs({}, {"--to": (to.parent, [path.name for path in paths])}) as inputs:
-                inputs += found.made_from()
+                inputs += opened_cache.made_from()
         else:
             with keeping_inputs({"--to": to}) as inputs:
-                inputs += found.made_from()
-        gallery = Gallery(found if chosen is None else SomeAgents(found.folder, found.manifest, chosen))
+                inputs += opened_cache.made_from()
+        gallery = Gallery(opened_cache if chosen is None else SomeAgents(opened_cache.folder, opened_cache.manifest, chosen))
         make_folder(to.parent)
         notes: Sequence[str] | None
         if scheduler:
             where = scheduler, tls, no_tls
-            made = answers(where, cache, to.parent, lambda whole, place: tasks(whole, to.name, word, chosen, there, place))
-            notes = tuple(dict.fromkeys(note for answered in made for note in answered.notes))
+            task_answers = answers(
+                where, cache, to.parent, lambda real_cache, place: tasks(real_cache, to.name, word, chosen, cache_frames, place)
+            )
+            notes = tuple(dict.fromkeys(note for answered in task_answers for note in answered.notes))
         else:
-            notes = export.forms[word](gallery, there, to, *options)
+            notes = export.forms[word](gallery, cache_frames, to, *options)
         if word in export.each:
             sync_files(paths)
-        unknown = None if chosen is None else _unknown_ids(found, there, chosen)
+        unknown = None if chosen is None else _unknown_ids(opened_cache, cache_frames, chosen)
         notes = [*(notes or ()), *([] if unknown is None else [unknown])]
     except ManifestError as why:
         raise Stop(Exit.INPUT_OUTPUT, f"error: {why}", "name the folder that `antdsl run` printed") from None
@@ -187,6 +189,6 @@ def export(
         raise Stop(Exit.FINDINGS, f"error: {why}", why.help or "") from None
     if not quiet:
         files = f"{paths[0]} .. {paths[-1].name}" if len(paths) > 1 else str(paths[0])
-        say(f"{files}: frames {there[0]}..{there[-1]}, {len(gallery.manifest.species)} species")
+        say(f"{files}: frames {cache_frames[0]}..{cache_frames[-1]}, {len(gallery.manifest.species)} species")
         for note in notes or ():
             say(f"note: {note}")

@@ -62,12 +62,12 @@ class _Work:
         from antdsl.files import find_files
         from antdsl.whole import is_link
 
-        found, report = find_files(paths)
+        all_files, report = find_files(paths)
         self.report.extend(report)
         for path in paths:
             if path.suffix in (".yaml", ".yml"):
                 self.report.error("not-an-ant-file", f"`{path}` is not an .ant file", None, "name files that end in `.ant`")
-        programs = [path for path in found if path.suffix == ".ant"]
+        programs = [path for path in all_files if path.suffix == ".ant"]
         for path in programs:
             if path in paths or not is_link(path) or any(path.resolve().is_relative_to(each.resolve()) for each in paths):
                 self.file(path)
@@ -78,8 +78,8 @@ class _Work:
         same = len(programs) - len(self.changed) - self.left
         word = "would change" if self.check or self.diff else "changed"
         counts = ((len(self.changed), word), (same, "laid out well"), (self.left, "left alone"))
-        told = [f"{count} file{'' if count == 1 else 's'} {what}" for count, what in counts if count]
-        say(", ".join(told) or "no .ant files here", err=True)
+        summary = [f"{count} file{'' if count == 1 else 's'} {what}" for count, what in counts if count]
+        say(", ".join(summary) or "no .ant files here", err=True)
 
     def file(self, path: Path) -> None:
         from antdsl import limits, syntax
@@ -124,10 +124,10 @@ class _Work:
         self.report.extend(d for d in findings.diagnostics if d.severity == "error")
         return text
 
-    def tell(self, name: str, before: str, after: str) -> None:
+    def tell(self, name: str, old_text: str, new_text: str) -> None:
         self.changed.append(name)
         if self.diff:
-            lines = difflib.unified_diff(before.splitlines(), after.splitlines(), name, name, lineterm="")
-            print_result("\n".join(lines) if before.splitlines() != after.splitlines() else f"{name}: only line ends differ")
+            lines = difflib.unified_diff(old_text.splitlines(), new_text.splitlines(), name, name, lineterm="")
+            print_result("\n".join(lines) if old_text.splitlines() != new_text.splitlines() else f"{name}: only line ends differ")
         else:
             print_result(name)

@@ -87,5 +87,7 @@ def _named(charts: tuple[Chart, ...], names: list[str]) -> tuple[Chart, ...]:
             near = nearest_name(name, known)
             hint = f"did you mean `{near}`?" if near else "there is " + ", ".join(f"`{k}`" for k in known)
             raise Stop(Exit.USAGE, f"error: no species or machine `{name}`", hint)
-    wanted = set(names)
-    return tuple(c for c in charts if not wanted or c.title in wanted or c.title.partition(".")[0] in wanted)
+    requested_names = set(names)
+    return tuple(
+        c for c in charts if not requested_names or c.title in requested_names or c.title.partition(".")[0] in requested_names
+    )

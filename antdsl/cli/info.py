@@ -27,13 +27,13 @@ def info(
     from antdsl.outputs.cache.manifest import ManifestError
 
     try:
-        found = open_cache(cache)
+        opened_cache = open_cache(cache)
     except ManifestError as why:
         raise Stop(Exit.INPUT_OUTPUT, f"error: {why}", "name the folder that `antdsl run` printed") from None
-    for line in describe(found):
+    for line in describe(opened_cache):
         print_result(printable(line))  # the manifest may be a stranger's
     if verify:
-        _verify(found)
+        _verify(opened_cache)
 
 
 def describe(cache: Cache) -> list[str]:
@@ -42,11 +42,11 @@ def describe(cache: Cache) -> list[str]:
     from antdsl.scene.geometry.import_notes import MeshImport, import_lines
 
     manifest, frames, hashes = cache.manifest, cache.frames(), cache.hashes()
-    wanted = manifest.last - manifest.first + 1
+    frame_count = manifest.last - manifest.first + 1
     inside = [frame for frame in frames if manifest.first <= frame <= manifest.last]
     lines = [
         f"scene        {manifest.scene} (antdsl {manifest.antdsl}, seed {manifest.seed})",
-        f"frames       {len(inside)} of {wanted}: {manifest.first}..{manifest.last} at {_fps(manifest.fps)} fps"
+        f"frames       {len(inside)} of {frame_count}: {manifest.first}..{manifest.last} at {_fps(manifest.fps)} fps"
         + (f", preroll {manifest.preroll}" if manifest.preroll else "")
         + (f", {manifest.substeps} substeps" if manifest.substeps > 1 else ""),
         f"units        {manifest.units}, {manifest.up} up",
@@ -58,8 +58,8 @@ def describe(cache: Cache) -> list[str]:
         for machine in species.machines:
             lines.append(f"states       {species.name}.{machine.name}: {' '.join(state.name for state in machine.states)}")
         if species.clips:
-            shown = (clip.name + (f" on {clip.on}" if clip.on else "") for clip in species.clips)
-            lines.append(f"clips        {species.name}: {', '.join(shown)}")
+            clip_names = (clip.name + (f" on {clip.on}" if clip.on else "") for clip in species.clips)
+            lines.append(f"clips        {species.name}: {', '.join(clip_names)}")
         if species.definition is not None and species.definition < len(manifest.bodies):
             lines.append(f"body         {species.name}: {manifest.bodies[species.definition].name}")
     lines += [f"field        {field.name}, cells of {field.cell:g} {manifest.units}" for field in manifest.fields]
@@ -72,7 +72,7 @@ def describe(cache: Cache) -> list[str]:
     lines.append(f"checkpoints  {' '.join(map(str, checkpoints)) if checkpoints else 'none'}")
     if inside and inside[-1] in hashes:
         lines.append(f"state hash   {hashes[inside[-1]]} (frame {inside[-1]})")
-    lines.append(f"complete     {'yes' if len(inside) == wanted else f'no; go on with: {resume_command(cache.folder)}'}")
+    lines.append(f"complete     {'yes' if len(inside) == frame_count else f'no; go on with: {resume_command(cache.folder)}'}")
     if manifest.made_with is not None:
         lines.append("made with")
         lines += [f"  {name:<10} {value or 'none'}" for name, value in manifest.made_with.model_dump().items()]
@@ -101,16 +101,20 @@ def _verify(cache: Cache) -> None:
 
     lines, frames, checkpoints = cache.lines(), cache.frames(), cache.checkpoints()
     first, last = cache.manifest.first, cache.manifest.last
-    bad, wanted = [], first
+    bad, next_frame = [], first
     strays = [f"frame {frame} is none of this cache's, {first} to {last}" for frame in frames if not first <= frame <= last]
     strays += cache.strays()
     for frame in sorted({*frames, *lines}):
         if not first <= frame <= last:
             bad += [] if frame in frames else [f"`{HASHES}` tells of frame {frame}, which is none of this cache's"]
             continue
-        if frame > wanted:
-            bad.append(f"frame {wanted} is not there" if frame == wanted + 1 else f"frames {wanted} to {frame - 1} are not there")
-        wanted = max(wanted, frame + 1)
+        if frame > next_frame:
+            bad.append(
+                f"frame {next_frame} is not there"
+                if frame == next_frame + 1
+                else f"frames {next_frame} to {frame - 1} are not there"
+            )
+        next_frame = max(next_frame, frame + 1)
         why = cache.damage(frame, lines.get(frame))
         bad += _unread(partial(cache.frame, frame)) if why is None else [why]
     for frame in checkpoints:
@@ -119,8 +123,8 @@ def _verify(cache: Cache) -> None:
     why = cache.static_damage()
     bad += [] if why is None else [why]
     if bad or strays:
-        more = [f"… and {len(bad) - 50} more"] if len(bad) > 50 else []
-        words = "\n".join([*(f"error: {why}" for why in bad[:50]), *more, *(f"error: {why}" for why in strays[:50])])
+        overflow_note = [f"… and {len(bad) - 50} more"] if len(bad) > 50 else []
+        words = "\n".join([*(f"error: {why}" for why in bad[:50]), *overflow_note, *(f"error: {why}" for why in strays[:50])])
         advice = [f"this makes again what is damaged: {resume_command(cache.folder)}"] if bad else []
         advice += ["move away what is not of this cache"] if strays else []
         raise Stop(Exit.FINDINGS, words, "\n".join(advice))

@@ -67,10 +67,10 @@ def jobs(
         raise typer.BadParameter(f"`{to.name}` is none of {', '.join((*OPEN, *LINES))}", param_hint="--to")
     file_to_write(to, "--to")
     look = _looks(render)
-    granted, given = grants(root), pairs(set_, "--set")
+    granted, param_values = grants(root), pairs(set_, "--set")
     with keeping_inputs({"--to": to}) as inputs:
         inputs.append(scene)
-        opened, report = open_scene(scene, Choices(granted, frame_range(frames), seed, given), thorough=False)
+        opened, report = open_scene(scene, Choices(granted, frame_range(frames), seed, param_values), thorough=False)
     demand(report)
     assert opened is not None
     cache = out if out is not None else default_place(scene.resolve().parent, "out", scene.stem)
@@ -83,7 +83,7 @@ def jobs(
         last=opened.frames.last,
         every=every,
         chunk=chunk,
-        run=(*seeded, *(word for name, value in given.items() for word in ("--set", f"{name}={value}"))),
+        run=(*seeded, *(word for name, value in param_values.items() for word in ("--set", f"{name}={value}"))),
         render=look,
         roots=tuple(granted.items()),
         film=film,
@@ -108,8 +108,8 @@ def _looks(text: str) -> tuple[str, ...]:
     alone = typer.Typer(add_completion=False, pretty_exceptions_enable=False, rich_markup_mode=None)
     alone.command()(render)
     try:
-        found = tuple(shlex.split(text))
-        context = typer.main.get_command(alone).make_context("render", ["CACHE", *found])
+        words = tuple(shlex.split(text))
+        context = typer.main.get_command(alone).make_context("render", ["CACHE", *words])
     except ValueError:
         raise typer.BadParameter(f"`{text}` has a quote that is not closed", param_hint="--render") from None
     except typer.Exit:  # of `--help`
@@ -120,7 +120,7 @@ def _looks(text: str) -> tuple[str, ...]:
         source = context.get_parameter_source(name)
         if source is not None and source.name == "COMMANDLINE":
             raise typer.BadParameter(f"`--{name}` is no matter of looks; {instead}", param_hint="--render")
-    return found
+    return words
 
 
 def _demand_template(job: Job, every: int, frames: int) -> None:
@@ -133,7 +133,7 @@ def _demand_template(job: Job, every: int, frames: int) -> None:
         words = f"error: {tasks:,} tasks are more than the {MOST_TASKS:,} that a template may list"
         raise Stop(Exit.USAGE, words, f"write `--chunk {enough}`, or lines: `--to job.jsonl`")
     for word in (word for step in job.steps for word in step.command):
-        texts = (word,) if isinstance(word, str) else (word.before, word.after)
+        texts = (word,) if isinstance(word, str) else (word.prefix, word.suffix)
         for text in texts:
             if "{{" in text:
                 words = f"error: `{text}` has `{{{{`, with which a template names its parameters"

@@ -40,17 +40,16 @@ def demand_memory(shots: Sequence[Shot], at_once: int = 1, runs: int = 1) -> Non
     Stop names the largest allocations, at the scene's place of the largest."""
     from antdsl.numerics.host import available_memory
 
-    there = available_memory()
+    available = available_memory()
     works = sorted(((sum(each.bytes for each in work), k, work) for k, work in enumerate(map(work_of, shots))), reverse=True)
     needed = sum([each for each, *_ in works for _ in range(min(runs, at_once))][:at_once])
-    if there is None or not works or needed <= _SHARE * there:
+    if available is None or not works or needed <= _SHARE * available:
         return
     _, k, work = works[0]
     largest = sorted(work, key=lambda each: -each.bytes)[:_NAMED]
     names = ", ".join(f"{each.thing} {size_text(each.bytes)} ({each.number:,} {each.parts})" for each in largest if each.bytes)
-    words = (
-        f"this needs at least {size_text(needed)}, and 80 % of what is available are {size_text(int(_SHARE * there))}: {names}"
-    )
+    words = f"this needs at least {size_text(needed)}, and 80 % of what is available are "
+    words += f"{size_text(int(_SHARE * available))}: {names}"
     fewer = ", fewer agents or fewer `--jobs`" if at_once > 1 and runs > 1 else " or fewer agents"
     hint = f"use larger cells or voxels, a lighter mesh{fewer}; to try it all the same, add `--any-memory`"
     raise Stop(Exit.INPUT_OUTPUT, f"error: {_place(shots[k], largest[0])}: {words}", hint)

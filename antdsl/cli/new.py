@@ -12,7 +12,7 @@ import typer
 from antdsl import __version__
 from antdsl.cli.exits import Exit, Stop
 from antdsl.cli.printing.messages import say
-from antdsl.whole import make_folder, write_whole
+from antdsl.whole import make_folder, write_atomically
 
 _PROGRAM = """\
 ant 1
@@ -185,8 +185,8 @@ def new(folder: Path = typer.Argument(..., metavar="DIR", help="A folder that is
     for name, text in FILES:
         path = folder / name
         make_folder(path.parent)
-        write_whole(path, text.encode())
-    write_whole(folder / "ground.ply", ground())
+        write_atomically(path, text.encode())
+    write_atomically(folder / "ground.ply", ground())
     say(f"walker.ant, scene.yaml and ground.ply are in {folder}; now:")
     for words in (("run", folder / "scene.yaml"), ("test", folder), ("render", folder / "out" / "scene", "--sheet")):
         say(f"  {shlex.join(['antdsl', *map(str, words)])}")

@@ -29,24 +29,24 @@ def plan(
     from antdsl.cli.printing.reports import demand
 
     setting: Setting | None = None
-    made: Plan | None = None
+    final_plan: Plan | None = None
     if file.suffix == ".ant":
         program, report = pipeline.check_path(file)
         if program is not None and report.ok:
             lowered, findings = planning.lower(program)
             report.extend(findings)
-            made = lowered if raw else passes.optimise(lowered)
+            final_plan = lowered if raw else passes.optimise(lowered)
     else:
         shot, report = pipeline.open_scene(file, raw=raw)
         if shot is not None:
-            made, setting = shot.plan, shot.setting
+            final_plan, setting = shot.plan, shot.setting
     demand(report)
-    if made is None:
+    if final_plan is None:
         raise Stop(Exit.FINDINGS)
-    print_result(_as_code(made, setting, code) if native or code else planning.show(made))
+    print_result(_as_code(final_plan, setting, code) if native or code else planning.show(final_plan))
 
 
-def _as_code(made: Plan, setting: Setting | None, code: bool) -> str:
+def _as_code(final_plan: Plan, setting: Setting | None, code: bool) -> str:
     """Return the listing of a plan's machine code. `setting`: that of the scene, or None for a program alone. `code`: append the
     text of the code. Raises Stop where no machine code can be made."""
     from antdsl.machine_code import machine
@@ -55,8 +55,8 @@ def _as_code(made: Plan, setting: Setting | None, code: bool) -> str:
 
     if why := machine.unavailable():
         raise Stop(Exit.FINDINGS, f"error: no machine code can be made here: {why}")
-    found = listing.of_plan(made, machine.host(), listing.STILL if setting is None else Facts.of(setting))
+    code_listing = listing.of_plan(final_plan, machine.host(), listing.STILL if setting is None else Facts.of(setting))
     words = (
         "as on ground that stands still, without `lod`: a scene that uses this may have other code\n" if setting is None else ""
     )
-    return words + listing.show(found) + (f"\n{found.text}" if code else "")
+    return words + listing.show(code_listing) + (f"\n{code_listing.text}" if code else "")

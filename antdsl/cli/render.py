@@ -114,12 +114,12 @@ def render(
     words = tuple(word for word in show.replace(" ", "").split(",") if word and word != "none")
     _window(window)
     _cut(cut)
-    wanted = Drawn(
+    settings = Drawn(
         *(width, height, camera.value, words, _ids(agents), cut, window, tuple(_full(full).items()), least, marks, blur),
         legend=legend is Legend.beside,
         rest=(film or shot is not None) and agents is None,
     )
-    gallery = _gallery(cache, wanted)
+    gallery = _gallery(cache, settings)
     drawn = _frames(gallery, frame_range(frames), every, sheet, film)
     folder = out if out is not None else default_place(cache, "pictures")
     folder_to_write(folder, "--out", *(["film.mp4"] if film else ["sheet.png"] if sheet else []))
@@ -127,7 +127,7 @@ def render(
     if film:
         _ready_for_films()
     together = drawn if shot is None else _frames(gallery, frame_range(shot, "--shot"), every, False, True)
-    stills = Stills.of(folder, gallery.cache, wanted, together)
+    stills = Stills.of(folder, gallery.cache, settings, together)
     try:
         with stoppable():
             if scheduler:
@@ -138,13 +138,15 @@ def render(
                         "a film cannot be resumed on a cluster; draw its frames there, `--shot A..B --resume`, then it here",
                         param_hint="--resume",
                     )
-                there = [frame for frame in drawn if resume and stills.kept(frame) is not None]
-                new = [frame for frame in drawn if frame not in set(there)]
+                existing_frames = [frame for frame in drawn if resume and stills.read_still(frame) is not None]
+                new = [frame for frame in drawn if frame not in set(existing_frames)]
                 if new:
-                    _by_cluster((scheduler, tls, no_tls), cache, wanted, new, together, folder, 1 / gallery.dt if film else None)
-                _skipped(len(there))
+                    _by_cluster(
+                        (scheduler, tls, no_tls), cache, settings, new, together, folder, 1 / gallery.dt if film else None
+                    )
+                _skipped(len(existing_frames))
                 return
-            pictures = _draw(gallery, wanted, drawn, together, at_once(threads), stills if resume else None)
+            pictures = _draw(gallery, settings, drawn, together, at_once(threads), stills if resume else None)
             if film:
                 _film((image for _, image, _ in pictures), gallery, folder)
             elif sheet:
@@ -159,43 +161,43 @@ def render(
 def _cut(text: str | None) -> Cut | None:
     from antdsl.outputs.cutting import Cut
 
-    found = Cut.of(text) if text is not None else None
-    if text is not None and found is None:
+    cut = Cut.of(text) if text is not None else None
+    if text is not None and cut is None:
         raise typer.BadParameter(f"`{text}` is no plane such as `z > 0` or `x < -12.5`", param_hint="--cut")
-    return found
+    return cut
 
 
 def _window(text: str) -> Window:
     from antdsl.outputs.paths import MOST_SECONDS, Window
 
-    found = Window.of(text)
-    if found is None:
+    window = Window.of(text)
+    if window is None:
         raise typer.BadParameter(
             f"`{text}` is no window of seconds such as `1..2`, {MOST_SECONDS:g} at most", param_hint="--window"
         )
-    return found
+    return window
 
 
 def _full(texts: list[str]) -> dict[str, float]:
-    found = {}
+    strengths = {}
     for text in texts:
         name, _, value = text.partition("=")
         try:
-            found[name.strip()] = float(value)
+            strengths[name.strip()] = float(value)
         except ValueError:
-            found[name.strip()] = 0.0
-        if not 0 < found[name.strip()] < float("inf"):
+            strengths[name.strip()] = 0.0
+        if not 0 < strengths[name.strip()] < float("inf"):
             raise typer.BadParameter(f"`{text}` is no field and strength such as `trail=20`", param_hint="--full")
-    return found
+    return strengths
 
 
-def _gallery(folder: Path, wanted: Drawn) -> Gallery:
+def _gallery(folder: Path, settings: Drawn) -> Gallery:
     from antdsl.outputs.cache.cache_reader import CacheError, open_cache
     from antdsl.outputs.cache.manifest import ManifestError
     from antdsl.outputs.gallery import NoPicture
 
     try:
-        return wanted.gallery(open_cache(folder))
+        return settings.gallery(open_cache(folder))
     except (ManifestError, CacheError) as why:
         raise Stop(Exit.INPUT_OUTPUT, f"error: {why}", "name the folder that `antdsl run` printed") from None
     except NoPicture as why:
@@ -206,22 +208,24 @@ def _gallery(folder: Path, wanted: Drawn) -> Gallery:
 
 
 def _frames(gallery: Gallery, between: Any, every: int | None, sheet: bool, film: bool) -> list[int]:
-    there = gallery.cache.frames()
+    cache_frames = gallery.cache.frames()
     if between is not None:
-        there = [frame for frame in there if between.first <= frame <= between.last]
-    if not there:
+        cache_frames = [frame for frame in cache_frames if between.first <= frame <= between.last]
+    if not cache_frames:
         raise Stop(Exit.INPUT_OUTPUT, "error: the cache has none of these frames", "`antdsl info CACHE` says which it has")
     if every is not None:
-        there = there[::every]
-        if not sheet or film or len(there) <= MOST:
-            return there
+        cache_frames = cache_frames[::every]
+        if not sheet or film or len(cache_frames) <= MOST:
+            return cache_frames
         raise Stop(
-            Exit.USAGE, f"error: {len(there)} pictures do not fit on a sheet", f"ask for at most {MOST}: a larger `--every`"
+            Exit.USAGE,
+            f"error: {len(cache_frames)} pictures do not fit on a sheet",
+            f"ask for at most {MOST}: a larger `--every`",
         )
     if sheet and not film:
-        steps = min(SHEET, len(there))
-        return sorted({there[round(k * (len(there) - 1) / max(steps - 1, 1))] for k in range(steps)})
-    return there if between is not None or film else there[-1:]
+        steps = min(SHEET, len(cache_frames))
+        return sorted({cache_frames[round(k * (len(cache_frames) - 1) / max(steps - 1, 1))] for k in range(steps)})
+    return cache_frames if between is not None or film else cache_frames[-1:]
 
 
 def _ids(text: str | None) -> tuple[int, ...]:
@@ -234,10 +238,10 @@ def _ids(text: str | None) -> tuple[int, ...]:
 
 
 def _draw(
-    gallery: Gallery, wanted: Drawn, frames: list[int], together: list[int], threads: int, kept: Stills | None
+    gallery: Gallery, settings: Drawn, frames: list[int], together: list[int], threads: int, stored_stills: Stills | None
 ) -> Iterator[tuple[int, Any, bool]]:
-    """Yield frames with their pictures, and whether these were drawn (True) or taken from `kept`. `together`: the frames for
-    which the camera is chosen."""
+    """Yield frames with their pictures, and whether these were drawn (True) or taken from `stored_stills`. `together`: the frames
+    for which the camera is chosen."""
     from antdsl.outputs.cache.cache_reader import CacheError
     from antdsl.outputs.drawing import Drawer, NoAgent
     from antdsl.outputs.gallery import NoPicture
@@ -246,11 +250,11 @@ def _draw(
     drawer: Drawer | None = None
     try:
         for frame in frames:
-            there = None if kept is None else kept.kept(frame)
-            if there is not None:
-                yield frame, there, False
+            stored_image = None if stored_stills is None else stored_stills.read_still(frame)
+            if stored_image is not None:
+                yield frame, stored_image, False
                 continue
-            drawer = drawer or Drawer(gallery, wanted, together, threads)
+            drawer = drawer or Drawer(gallery, settings, together, threads)
             yield frame, drawer.draw(frame), True
     except CacheError as why:
         advice = f"this makes damaged frames again: {resume_command(gallery.cache.folder)}"
@@ -264,7 +268,7 @@ def _draw(
 
 
 def _by_cluster(
-    where: Where, cache: Path, wanted: Drawn, frames: list[int], together: list[int], folder: Path, fps: float | None
+    where: Where, cache: Path, settings: Drawn, frames: list[int], together: list[int], folder: Path, fps: float | None
 ) -> None:
     """Draw stills on a cluster's workers, or, with `fps`, a film of them."""
     from antdsl.outputs.drawing import still_path
@@ -272,13 +276,15 @@ def _by_cluster(
 
     stills = folder if fps is None else default_place(folder, "film.frames")
     make_folder(stills)
-    for answered in answers(where, cache, stills, lambda found, to: tasks(found, wanted, frames, together, to)):
+    for answered in answers(where, cache, stills, lambda real_cache, to: tasks(real_cache, settings, frames, together, to)):
         for frame in answered.task.document["frames"] if fps is None else ():
             say(str(still_path(folder, frame)))
     if fps is None:
         sync_files(still_path(folder, frame) for frame in frames)
     if fps is not None:
-        _film_of_stills([still_path(stills, frame) for frame in frames], folder / "film.mp4", fps, wanted.width * wanted.height)
+        _film_of_stills(
+            [still_path(stills, frame) for frame in frames], folder / "film.mp4", fps, settings.width * settings.height
+        )
         stills.rmdir()
 
 
@@ -324,29 +330,29 @@ def _film(images: Iterator[Any], gallery: Gallery, folder: Path) -> None:
     say(str(path))
 
 
-def _sheet(kept: list[tuple[int, Any]], stills: Stills) -> None:
+def _sheet(pictures: list[tuple[int, Any]], stills: Stills) -> None:
     from antdsl.outputs.pictures import contact_sheet
     from antdsl.outputs.pictures.image_files import still
 
     path = stills.folder / "sheet.png"
-    still(contact_sheet([image for _, image in kept], [f"frame {frame}" for frame, _ in kept]), path)
+    still(contact_sheet([image for _, image in pictures], [f"frame {frame}" for frame, _ in pictures]), path)
     say(str(path))
-    picture = stills.put(*kept[-1])
+    picture = stills.put(*pictures[-1])
     sync_files([picture])
     say(str(picture))
 
 
 def _stills(drawn: Iterator[tuple[int, Any, bool]], stills: Stills) -> None:
-    there, made = 0, []
+    existing_count, paths = 0, []
     for frame, image, new in drawn:
-        there += not new
+        existing_count += not new
         if new:
-            made.append(stills.put(frame, image))
-            say(str(made[-1]))
-    sync_files(made)
-    _skipped(there)
+            paths.append(stills.put(frame, image))
+            say(str(paths[-1]))
+    sync_files(paths)
+    _skipped(existing_count)
 
 
-def _skipped(there: int) -> None:
-    if there:
-        say(f"{there} {'picture was' if there == 1 else 'pictures were'} there already")
+def _skipped(count: int) -> None:
+    if count:
+        say(f"{count} {'picture was' if count == 1 else 'pictures were'} there already")

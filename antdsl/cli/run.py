@@ -138,13 +138,18 @@ def run(
             show(recording.meter.profile(), lines=options.backend != "reference")
 
 
-def at_once(asked: int, quiet: bool = False) -> int:
-    """Return the number of threads to use if `asked` are requested, 0 being all. It is at most the number of usable cores: more
-    threads would only wait for each other, and libraries complain about it. Unless `quiet`, a message reports a reduction."""
-    there = cores()
-    if asked > there and not quiet:
-        say(f"`--threads {asked}`: this process may use {there} core{'s' * (there > 1)} here, so {there} at a time", err=True)
-    return min(asked or there, there)
+def at_once(requested_threads: int, quiet: bool = False) -> int:
+    """Return the number of threads to use if `requested_threads` are requested, 0 being all. It is at most the number of usable
+    cores: more threads would only wait for each other, and libraries complain about it. Unless `quiet`, a message reports a
+    reduction."""
+    core_count = cores()
+    if requested_threads > core_count and not quiet:
+        say(
+            f"`--threads {requested_threads}`: this process may use {core_count} core{'s' * (core_count > 1)} here, "
+            f"so {core_count} at a time",
+            err=True,
+        )
+    return min(requested_threads or core_count, core_count)
 
 
 def _again(
@@ -161,10 +166,10 @@ def _again(
     import shlex
 
     words = ["antdsl", "run", str(scene)]
-    given: dict[str, Sequence[object]] = {
+    flag_values: dict[str, Sequence[object]] = {
         "--frames": [frames], "--seed": [seed], "--set": set_, "--root": root, "--out": [out], "--summary": [summary],
     }  # fmt: skip
-    for flag, values in given.items():
+    for flag, values in flag_values.items():
         for value in values:
             if value is not None:
                 words += [flag, str(value)]
@@ -179,11 +184,11 @@ def _setting_up(again: str) -> Iterator[None]:
     def stop(number: int, frame: object) -> None:
         raise Stop(Exit.TERMINATED, "stopped before the first frame", f"begin with: {again}")
 
-    before = signal.signal(signal.SIGTERM, stop)
+    previous_handler = signal.signal(signal.SIGTERM, stop)
     try:
         yield
     finally:
-        signal.signal(signal.SIGTERM, before)
+        signal.signal(signal.SIGTERM, previous_handler)
 
 
 def _begin(shot: Shot, folder: Path, options: Options, choices: Choices, resume: bool, force: bool, quiet: bool) -> Recording:
@@ -240,7 +245,7 @@ def _go(recording: Recording, quiet: bool, again: str) -> None:
             raise KeyboardInterrupt
         recording.stop = True
 
-    before = {number: signal.signal(number, ask_to_stop) for number in (signal.SIGINT, signal.SIGTERM)}
+    previous_handlers = {number: signal.signal(number, ask_to_stop) for number in (signal.SIGINT, signal.SIGTERM)}
     try:
         with report_failures("cannot write the cache", f"go on with: {again}"), progress(recording, quiet) as watch:
             for _ in record(recording, watch.preroll):
@@ -258,9 +263,9 @@ def _go(recording: Recording, quiet: bool, again: str) -> None:
             f"the frames before are in {recording.folder}",
         ) from None
     finally:
-        for number, handler in before.items():
+        for number, handler in previous_handlers.items():
             signal.signal(number, handler)
-        for note in recording.world.backend.told():
+        for note in recording.world.backend.messages():
             say(note, err=True)
     if recording.stop and not recording.complete:
         if recording.frame is None:

@@ -22,7 +22,7 @@ from antdsl.numerics.host import cores
 if TYPE_CHECKING:
     from antdsl.executors import Answered, Task
     from antdsl.executors.cluster import Cluster
-    from antdsl.executors.parcel import Seen
+    from antdsl.executors.parcel import VisibleFile
     from antdsl.shots.placing import Destination
 
 Where = tuple[str, Path | None, bool]
@@ -61,10 +61,16 @@ def demand_scheduler(address: str | None, tls: Path | None, no_tls: bool) -> Non
 
 @contextmanager
 def cluster(
-    address: str, tls: Path | None, no_tls: bool, workers: int, threads: int, files: Iterable[Path], seen: Seen | None = None
+    address: str,
+    tls: Path | None,
+    no_tls: bool,
+    workers: int,
+    threads: int,
+    files: Iterable[Path],
+    visible_file: VisibleFile | None = None,
 ) -> Iterator[Cluster]:
-    """Connect to the cluster at an address. Its workers have received the files, or see `seen` at its path. `workers` with
-    `threads` threads each are started if the cluster is local. Problems end the command; raises Lost where no scheduler
+    """Connect to the cluster at an address. Its workers have received the files, or see `visible_file` at its path. `workers`
+    with `threads` threads each are started if the cluster is local. Problems end the command; raises Lost where no scheduler
     answers."""
     folder = _allowed(address, tls, no_tls)
     from importlib.util import find_spec
@@ -80,11 +86,16 @@ def cluster(
 
     try:
         if address == "local":
-            with local_cluster(workers, threads) as (found, security), connected(found, security, files, seen) as there:
-                yield there
+            with (
+                local_cluster(workers, threads) as (local_address, security),
+                connected(local_address, security, files, visible_file) as connected_cluster,
+            ):
+                yield connected_cluster
         else:
-            with connected(address, security_of(folder) if folder is not None else None, files, seen) as there:
-                yield there
+            with connected(
+                address, security_of(folder) if folder is not None else None, files, visible_file
+            ) as connected_cluster:
+                yield connected_cluster
     except Refused as why:
         raise Stop(Exit.INPUT_OUTPUT, f"error: {why}") from None
 
@@ -93,16 +104,16 @@ def _allowed(address: str, tls: Path | None, no_tls: bool) -> Path | None:
     """Return the folder of certificates for an address, or None if none is needed."""
     from antdsl.executors.tasks import TLS_FILES
 
-    found = re.fullmatch(r"(tls|tcp)://(\[[0-9A-Fa-f:.]{2,45}\]|[A-Za-z0-9_.-]{1,253}):([0-9]{1,5})", address)
+    match = re.fullmatch(r"(tls|tcp)://(\[[0-9A-Fa-f:.]{2,45}\]|[A-Za-z0-9_.-]{1,253}):([0-9]{1,5})", address)
     if address == "local":
         if tls is not None or no_tls:
             raise typer.BadParameter("a cluster that is started here makes its own certificates", param_hint="--tls")
         return None
-    if found is None or not 0 < int(found[3]) < 1 << 16:
+    if match is None or not 0 < int(match[3]) < 1 << 16:
         raise typer.BadParameter(
             f"`{address}` is no scheduler: write `local`, or an address such as tls://render1:8786", param_hint="--scheduler"
         )
-    if found[1] == "tls":
+    if match[1] == "tls":
         if tls is None:
             raise typer.BadParameter(
                 f"`{address}` wants certificates: name their folder with `--tls DIR`", param_hint="--scheduler"
@@ -113,8 +124,8 @@ def _allowed(address: str, tls: Path | None, no_tls: bool) -> Path | None:
         _demand_certificates(tls)
         return tls
     if tls is not None:
-        raise typer.BadParameter(f"`{address}` is in the clear; write tls://{found[2]}:{found[3]}", param_hint="--scheduler")
-    if not no_tls and not _loopback(found[2].strip("[]")):
+        raise typer.BadParameter(f"`{address}` is in the clear; write tls://{match[2]}:{match[3]}", param_hint="--scheduler")
+    if not no_tls and not _loopback(match[2].strip("[]")):
         raise typer.BadParameter(
             f"`{address}` is not encrypted, so everyone who can reach it can run code on it; write tls:// and `--tls DIR`, or, "
             "on a network that is trusted, add `--no-tls`",
@@ -131,16 +142,20 @@ def _demand_certificates(folder: Path) -> None:
     from antdsl.executors.tasks import TLS_FILES
 
     authority, certificate, key = (folder / name for name in TLS_FILES)
-    for made, words in ((authority, "is no certificate"), (certificate, "and `key.pem` are no certificate and its key")):
+    for certificate_file, words in (
+        (authority, "is no certificate"),
+        (certificate, "and `key.pem` are no certificate and its key"),
+    ):
         context = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
         try:
-            if made == authority:
+            if certificate_file == authority:
                 context.load_verify_locations(authority)
             else:
                 context.load_cert_chain(certificate, key, password="")  # else it would ask
         except (OSError, ValueError):  # an SSLError is an OSError
             raise typer.BadParameter(
-                f"`{made}` {words}; the page on clusters of the documentation has the commands that make them", param_hint="--tls"
+                f"`{certificate_file}` {words}; the page on clusters of the documentation has the commands that make them",
+                param_hint="--tls",
             ) from None
 
 
@@ -167,11 +182,11 @@ def stoppable() -> Iterator[None]:
     def stop(number: int, frame: object) -> None:
         raise Terminated if number == signal.SIGTERM else KeyboardInterrupt
 
-    before = {number: signal.signal(number, stop) for number in (signal.SIGINT, signal.SIGTERM)}
+    previous_handlers = {number: signal.signal(number, stop) for number in (signal.SIGINT, signal.SIGTERM)}
     try:
         yield
     finally:
-        for number, handler in before.items():
+        for number, handler in previous_handlers.items():
             signal.signal(number, handler)
 
 
@@ -181,7 +196,7 @@ def answers(where: Where, cache: Path, to: Path, tasks: Callable[[Path, Destinat
     destination of files. If a task fails, the command ends after all have run; it also ends if the scheduler is lost."""
     from antdsl.bounded import real_path
     from antdsl.executors import Lost
-    from antdsl.executors.parcel import Seen
+    from antdsl.executors.parcel import VisibleFile
     from antdsl.outputs.cache.cache_reader import STATIC, frame_path, open_cache
     from antdsl.outputs.cache.hashes import HASHES
     from antdsl.outputs.cache.manifest import MANIFEST
@@ -191,7 +206,7 @@ def answers(where: Where, cache: Path, to: Path, tasks: Callable[[Path, Destinat
     files = [*(cache / name for name in (MANIFEST, STATIC, HASHES)), *(frame_path(cache, f) for f in open_cache(cache).frames())]
     failed = 0
     try:
-        with cluster(*where, cores(), 1, files, Seen.of(cache / HASHES)) as executors, destination(to) as place:
+        with cluster(*where, cores(), 1, files, VisibleFile.of(cache / HASHES)) as executors, destination(to) as place:
             for answered in fetched(tasks(cache, place), executors, lambda task: to, noted=lambda words: say(words, err=True)):
                 if answered.answer is None:
                     failed += 1

@@ -117,7 +117,7 @@ def run_shots(
 def _folders(scenes: Sequence[Path], out: Path | None) -> list[Path]:
     """The folder of each cache."""
     one = len(scenes) == 1 and out is not None
-    found = [
+    folders = [
         out
         if one and out
         else default_place(out, scene.stem)
@@ -125,7 +125,7 @@ def _folders(scenes: Sequence[Path], out: Path | None) -> list[Path]:
         else default_place(scene.resolve().parent, "out", scene.stem)
         for scene in scenes
     ]
-    twice = [folder for number, folder in enumerate(found) if folder in found[:number]]
+    twice = [folder for number, folder in enumerate(folders) if folder in folders[:number]]
     if twice:
         raise typer.BadParameter(f"two scenes would be put into `{twice[0]}`; run them apart", param_hint="SCENE")
-    return found
+    return folders

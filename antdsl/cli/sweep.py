@@ -15,10 +15,10 @@ from antdsl.cli.exits import Exit, Stop, report_failures
 from antdsl.cli.memory_demand import ANY_MEMORY, demand_memory
 from antdsl.cli.printing.messages import notes, say
 from antdsl.cli.scheduler import NO_TLS, SCHEDULER, TLS, cluster, code_of, demand_scheduler, stoppable
-from antdsl.whole import write_whole
+from antdsl.whole import write_atomically
 
 if TYPE_CHECKING:
-    from antdsl.sweep import Chooser, Job, Keeper, Outcome
+    from antdsl.sweep import Chooser, Job, Outcome, RunStore
     from antdsl.sweep.study import Study
     from antdsl.sweep.table import Result
 
@@ -100,21 +100,21 @@ def sweep(
     """Run scenes with other values and seeds, and tell medians and quartiles."""
     from antdsl.cli.arguments import require_scene
     from antdsl.cli.printing.reports import demand
-    from antdsl.cli.sweep_words import asked_before, nothing, scene_shots, study_of, widths_of
+    from antdsl.cli.sweep_words import load_request, nothing, scene_shots, study_of, widths_of
     from antdsl.executors import Lost, Processes
     from antdsl.numerics.host import cores
     from antdsl.scene.paths import sought
-    from antdsl.sweep import Chooser, Keeper, run_all
+    from antdsl.sweep import Chooser, RunStore, run_all
     from antdsl.sweep.finished_runs import OtherFiles
-    from antdsl.sweep.study import Asked
+    from antdsl.sweep.study import SweepRequest
 
     demand_scheduler(scheduler, tls, no_tls)
     for scene in scenes or ():
         require_scene(scene)
-    asked = (
-        asked_before(context, out)
+    request = (
+        load_request(context, out)
         if resume
-        else Asked(
+        else SweepRequest(
             scenes=[str(scene) for scene in scenes or ()] or nothing(),
             vary=vary,
             design=design.value,
@@ -127,31 +127,33 @@ def sweep(
             root=root,
         )
     )
-    widths, first = widths_of(asked), Path(asked.scenes[0])
+    widths, first = widths_of(request), Path(request.scenes[0])
     folder = out if out is not None else default_place(first.resolve().parent, "out", "sweep")
     if first.is_file():  # else there is no folder beside it to ask
         folder_to_write(folder, "--out", *RESULTS)
     with keeping_inputs({}, {"--out": (folder, (*RESULTS, "runs"))}) as inputs, sought() as read:
-        inputs += map(Path, asked.scenes)
-        study, made, report = study_of(asked)
+        inputs += map(Path, request.scenes)
+        study, runs, report = study_of(request)
     demand(report)
     try:
-        keeper = Keeper(folder)
+        run_store = RunStore(folder)
     except OtherFiles as why:
         raise Stop(Exit.INPUT_OUTPUT, f"error: {why}", "name another folder with `--out`") from None
-    asked.keep(folder)
+    request.keep(folder)
 
-    chooser = Chooser(made, widths)
-    done: dict[str, Any] = {}
+    chooser = Chooser(runs, widths)
+    finished_measures: dict[str, Any] = {}
     if not again:
-        done = {job.key: kept for job in made if (kept := keeper.kept(job)) is not None}
-    for job in made:
-        if job.key in done:
-            chooser.heard(job, done[job.key])
-    todo = len(made) - len(done)
-    if done and not quiet:
-        say(f"{len(done)} of {len(made)} runs were finished before")
-    others = keeper.others(made) if resume else 0
+        finished_measures = {
+            job.key: stored_measures for job in runs if (stored_measures := run_store.read_measures(job)) is not None
+        }
+    for job in runs:
+        if job.key in finished_measures:
+            chooser.heard(job, finished_measures[job.key])
+    todo = len(runs) - len(finished_measures)
+    if finished_measures and not quiet:
+        say(f"{len(finished_measures)} of {len(runs)} runs were finished before")
+    others = run_store.others(runs) if resume else 0
     if others:
         say(
             f"{others} runs in {folder} are of files, values or sources of antdsl that are others now, and are not counted",
@@ -160,32 +162,32 @@ def sweep(
     processes = min(jobs or cores(), max(todo, 1))
     threads = max(1, cores() // processes)
     if todo and not any_memory and not scheduler:  # a cluster's machines have memory of their own
-        demand_memory(scene_shots(study, asked), processes, len(made))
+        demand_memory(scene_shots(study, request), processes, len(runs))
     failed: list[Outcome] = []
     files = [path for path in read if path.is_file()]
     where = (
         cluster(scheduler, tls, no_tls, processes, threads, files) if scheduler else nullcontext(Processes(processes, threads))
     )
     try:
-        with stoppable(), where as executors, _progress(todo, quiet, bool(asked.until_known)) as watch:
-            for outcome in run_all(chooser.wanted(), executors, watch.frame, watch.noted):
+        with stoppable(), where as executors, _progress(todo, quiet, bool(request.until_known)) as watch:
+            for outcome in run_all(chooser.needed_jobs(), executors, watch.frame, watch.noted):
                 watch.finished(outcome)
                 if outcome.measures is None:
                     failed.append(outcome)
                 else:
-                    keeper.keep(outcome.job, outcome.measures)
-                    done[outcome.job.key] = outcome.measures
+                    run_store.keep(outcome.job, outcome.measures)
+                    finished_measures[outcome.job.key] = outcome.measures
                 chooser.heard(outcome.job, outcome.measures)
                 _demand_measures(chooser)
     except (KeyboardInterrupt, Lost) as why:
-        _tell(keeper, study, chooser, done, show, plots=False)
-        finished = f"{len(done)} of {len(made)} runs are finished and stored"
+        _tell(run_store, study, chooser, finished_measures, show, plots=False)
+        finished = f"{len(finished_measures)} of {len(runs)} runs are finished and stored"
         code, words = (Exit.INPUT_OUTPUT, f"error: {why}") if isinstance(why, Lost) else (code_of(why), "stopped")
         raise Stop(code, f"{words}: {finished}", "the same command goes on with the others, and so does `--resume`") from None
     _demand_measures(chooser)
-    _tell(keeper, study, chooser, done, show, plots)
+    _tell(run_store, study, chooser, finished_measures, show, plots)
     if failed:
-        raise Stop(Exit.FINDINGS, f"error: {len(failed)} of {len(made)} runs failed and are not in the table")
+        raise Stop(Exit.FINDINGS, f"error: {len(failed)} of {len(runs)} runs failed and are not in the table")
 
 
 def _demand_measures(chooser: Chooser) -> None:
@@ -194,20 +196,22 @@ def _demand_measures(chooser: Chooser) -> None:
         raise Stop(Exit.USAGE, f"error: no measure begins with `{unheard[0]}`", f"there are: {', '.join(chooser.heard_of())}")
 
 
-def _tell(keeper: Keeper, study: Study, chooser: Chooser, done: Mapping[str, Any], show: Sequence[str], plots: bool) -> None:
+def _tell(
+    run_store: RunStore, study: Study, chooser: Chooser, finished_measures: Mapping[str, Any], show: Sequence[str], plots: bool
+) -> None:
     """Write the table in all its forms, and print it."""
     from antdsl.sweep import rows
     from antdsl.sweep.figures import available
     from antdsl.sweep.plots import HOW, draw, draw_factors
     from antdsl.sweep.sensitivity import as_csv as effects_csv
     from antdsl.sweep.sensitivity import text as effects_text
-    from antdsl.sweep.table import as_csv, as_json, known_text, runs_csv, runs_parquet, shown, text
+    from antdsl.sweep.table import as_csv, as_json, choose_measures, known_text, runs_csv, runs_parquet, text
 
-    results: list[Result] = [(job, done[job.key]) for job in chooser.counted]
+    results: list[Result] = [(job, finished_measures[job.key]) for job in chooser.counted]
     if not results:
         return
     table, known = rows(results), chooser.known()
-    measures = shown(table, show)
+    measures = choose_measures(table, show)
     if show and not measures:
         names = ", ".join(dict.fromkeys(row.measure.split(".")[0] for row in table))
         raise Stop(Exit.USAGE, f"error: no measure begins with `{show[0]}`", f"there are: {names}")
@@ -229,19 +233,19 @@ def _tell(keeper: Keeper, study: Study, chooser: Chooser, done: Mapping[str, Any
     if parquet is not None:
         files["runs.parquet"] = parquet
     for name, content in files.items():
-        write_whole(keeper.folder / name, content)
+        write_atomically(run_store.folder / name, content)
     say((_beginning(lines) + words).rstrip("\n"))
     for remark in remarks:
         say(f"note: {remark}", err=True)
     drawn = []
     if plots and available() and len(measures) <= MOST_PANELS:
         if study.ranges:
-            draw_factors(study, results, measures, effects, keeper.folder / "factors.png")
+            draw_factors(study, results, measures, effects, run_store.folder / "factors.png")
             drawn.append("factors.png")
         else:
-            draw(results, measures, keeper.folder / "table.png")
+            draw(results, measures, run_store.folder / "table.png")
             drawn.append("table.png")
-    say(f"in {keeper.folder}: {', '.join([*files, *drawn])}")
+    say(f"in {run_store.folder}: {', '.join([*files, *drawn])}")
     if plots and not available():
         say(HOW)
 
@@ -249,8 +253,8 @@ def _tell(keeper: Keeper, study: Study, chooser: Chooser, done: Mapping[str, Any
 def _beginning(lines: str) -> str:
     """What is printed of a table: its first lines."""
     each = lines.splitlines(keepends=True)
-    more = len(each) - 1 - MOST_LINES
-    return "".join(each[: MOST_LINES + 1]) + (f"… and {more} lines more, in table.txt\n" if more > 0 else "")
+    omitted_count = len(each) - 1 - MOST_LINES
+    return "".join(each[: MOST_LINES + 1]) + (f"… and {omitted_count} lines more, in table.txt\n" if omitted_count > 0 else "")
 
 
 class _Watch:

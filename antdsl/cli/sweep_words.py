@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from antdsl.pipeline import Shot
     from antdsl.sweep import Job
     from antdsl.sweep.stopping import Width
-    from antdsl.sweep.study import Asked, Study
+    from antdsl.sweep.study import Study, SweepRequest
 
 
 def nothing() -> list[str]:
@@ -39,10 +39,10 @@ _DECIDES = {
 }
 
 
-def asked_before(context: typer.Context, out: Path | None) -> Asked:
+def load_request(context: typer.Context, out: Path | None) -> SweepRequest:
     """Return the request of the earlier sweep in a folder, which allows no further options. Raises BadParameter for wrong use,
     Stop if there is no sweep."""
-    from antdsl.sweep.study import NotAsked, kept
+    from antdsl.sweep.study import NoSweep, read_request
 
     for name, words in _DECIDES.items():
         source = context.get_parameter_source(name)
@@ -51,12 +51,12 @@ def asked_before(context: typer.Context, out: Path | None) -> Asked:
     if out is None:
         raise typer.BadParameter("say which sweep goes on: `--resume --out DIR`", param_hint="--resume")
     try:
-        return kept(out)
-    except NotAsked as why:
+        return read_request(out)
+    except NoSweep as why:
         raise Stop(Exit.INPUT_OUTPUT, f"error: {why}", "begin one: `antdsl sweep SCENE… --out DIR`") from None
 
 
-def study_of(asked: Asked) -> tuple[Study, list[Job], Report]:
+def study_of(request: SweepRequest) -> tuple[Study, list[Job], Report]:
     """Return the points of the design, and all their runs; wrong arguments end the command with a usage error."""
     from antdsl.cli.arguments import frame_range, grants, pairs
     from antdsl.sweep import jobs, variations
@@ -64,33 +64,39 @@ def study_of(asked: Asked) -> tuple[Study, list[Job], Report]:
     from antdsl.sweep.factors import ends, factors
     from antdsl.sweep.study import Study
 
-    scenes = [Path(scene) for scene in dict.fromkeys(asked.scenes)]
+    scenes = [Path(scene) for scene in dict.fromkeys(request.scenes)]
     for scene in scenes:
         if scene.suffix == ".ant":
             raise typer.BadParameter(f"`{scene}` is a program; name scenes that use it", param_hint="SCENE")
-    found, report = factors(pairs(asked.vary, "--vary"))
+    sweep_factors, report = factors(pairs(request.vary, "--vary"))
     _demand_words(report)
-    chosen, report = choose(asked.design, found, asked.points, asked.design_seed)
+    chosen, report = choose(request.design, sweep_factors, request.points, request.design_seed)
     _demand_words(report)
     assert chosen is not None
-    about: dict[str, Any] = {"frames": frame_range(asked.frames), "until": tuple(asked.until_empty), "grants": grants(asked.root)}
-    numbers = _seeds(asked.seeds)
-    _, report = jobs(variations(scenes, ends(found) or [{}]), (), **about)  # each end once, and not each point beyond one
+    job_options: dict[str, Any] = {
+        "frames": frame_range(request.frames),
+        "until": tuple(request.until_empty),
+        "grants": grants(request.root),
+    }
+    numbers = _seeds(request.seeds)
+    _, report = jobs(
+        variations(scenes, ends(sweep_factors) or [{}]), (), **job_options
+    )  # each end once, and not each point beyond one
     if not report.ok:
         return Study(chosen, (), ()), [], report
-    run = variations(scenes, chosen.once)
-    made, findings = jobs(run, numbers, **about)
+    run = variations(scenes, chosen.unique_points)
+    runs, findings = jobs(run, numbers, **job_options)
     report.extend(findings)
-    return Study(chosen, tuple(scenes), tuple(run)), made, report
+    return Study(chosen, tuple(scenes), tuple(run)), runs, report
 
 
-def scene_shots(study: Study, asked: Asked) -> list[Shot]:
+def scene_shots(study: Study, request: SweepRequest) -> list[Shot]:
     """Return each scene of a sweep, opened with its own values; the runs differ in values only, not in things."""
     from antdsl.cli.arguments import grants
     from antdsl.pipeline import Choices, open_scene
 
-    found = (open_scene(scene, Choices(grants(asked.root)), thorough=False)[0] for scene in study.scenes)
-    return [shot for shot in found if shot is not None]
+    shots = (open_scene(scene, Choices(grants(request.root)), thorough=False)[0] for scene in study.scenes)
+    return [shot for shot in shots if shot is not None]
 
 
 def _demand_words(report: Report) -> None:
@@ -101,27 +107,27 @@ def _demand_words(report: Report) -> None:
         raise Stop(Exit.USAGE)
 
 
-def widths_of(asked: Asked) -> list[Width]:
+def widths_of(request: SweepRequest) -> list[Width]:
     """Return the widths of `NAME=WIDTH` words, if there are enough seeds for any."""
     from antdsl.cli.arguments import pairs
     from antdsl.sweep.stopping import Width, least_runs
 
-    found = []
-    for name, text in pairs(asked.until_known, "--until-known").items():
+    widths = []
+    for name, text in pairs(request.until_known, "--until-known").items():
         number = re.fullmatch(r"([0-9]*\.?[0-9]+)\s*(%?)", text, re.ASCII)
         if number is None or not float(number[1]):
             words = f"`{text}` is no width: write `{name}=0.5`, or a share of the median: `{name}=10%`"
             raise typer.BadParameter(words, param_hint="--until-known")
-        found.append(Width(name, float(number[1]) * (0.01 if number[2] else 1.0), bool(number[2])))
-    if found and len(_seeds(asked.seeds)) < least_runs():
+        widths.append(Width(name, float(number[1]) * (0.01 if number[2] else 1.0), bool(number[2])))
+    if widths and len(_seeds(request.seeds)) < least_runs():
         words = f"no median is known of fewer than {least_runs()} runs: write `--seeds 50`, which is how many at most"
         raise typer.BadParameter(words, param_hint="--until-known")
-    return found
+    return widths
 
 
 def _seeds(text: str) -> range:
-    found = re.fullmatch(r"([0-9]{1,6})(?:\.\.([0-9]{1,6}))?", text.strip())
-    first, last = (1, int(found[1])) if found and found[2] is None else (int(found[1]), int(found[2])) if found else (1, 0)
-    if not found or last < first:
+    match = re.fullmatch(r"([0-9]{1,6})(?:\.\.([0-9]{1,6}))?", text.strip())
+    first, last = (1, int(match[1])) if match and match[2] is None else (int(match[1]), int(match[2])) if match else (1, 0)
+    if not match or last < first:
         raise typer.BadParameter(f"`{text}` is no number of seeds: write N, or A..B", param_hint="--seeds")
     return range(first, last + 1)

@@ -50,7 +50,7 @@ def test(
     from antdsl.runtime import Options
     from antdsl.specs import Work, cases, run_cases
     from antdsl.specs.cases import settle
-    from antdsl.specs.failure_cache import Keeper
+    from antdsl.specs.failure_cache import FailureSaver
     from antdsl.specs.golden.comparing import Goldens
     from antdsl.specs.golden.recorded import golden_path
     from antdsl.specs.reports import as_json, as_junit
@@ -71,7 +71,7 @@ def test(
     with words_aside(junit, json) as output:
         progress = _Progress(quiet, len(runs))
 
-        def done(case: Case) -> None:
+        def report_case(case: Case) -> None:
             progress.clear()
             if case.failures:
                 say(failed(case))
@@ -79,8 +79,8 @@ def test(
                 say(one_line(case))
 
         options = Options(backend=backend.value, threads=at_once(threads, quiet))
-        keeper = None if no_keep else Keeper(keep, grants(root), options)
-        work = Work(options, keeper=keeper, goldens=Goldens(update), done=done)
+        failure_saver = None if no_keep else FailureSaver(keep, grants(root), options)
+        work = Work(options, failure_saver=failure_saver, goldens=Goldens(update), report_case=report_case)
         coverage, goldens = work.coverage, work.goldens
         assert goldens is not None
         stopped = False
@@ -97,7 +97,7 @@ def test(
         except KeyboardInterrupt:
             stopped = True
             progress.clear()
-        for note in work.told:
+        for note in work.messages:
             say(note, err=True)
         show(goldens.report, to_stderr=True)
         report.extend(goldens.report)
@@ -126,22 +126,22 @@ def _ended_between_frames() -> Iterator[Callable[[], None]]:
     swallowed by the library that is running. A second Ctrl-C raises immediately all the same."""
     import signal
 
-    asked: list[int] = []
+    interrupts: list[int] = []
 
     def stop(number: int, frame: object) -> None:
-        if asked:
+        if interrupts:
             raise KeyboardInterrupt
-        asked.append(number)
+        interrupts.append(number)
 
     def ask() -> None:
-        if asked:
+        if interrupts:
             raise KeyboardInterrupt
 
-    before = signal.signal(signal.SIGINT, stop)
+    previous_handler = signal.signal(signal.SIGINT, stop)
     try:
         yield ask
     finally:
-        signal.signal(signal.SIGINT, before)
+        signal.signal(signal.SIGINT, previous_handler)
 
 
 class _Progress:

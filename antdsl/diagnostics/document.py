@@ -12,14 +12,14 @@ from antdsl.source import Source, Span
 FORMAT_VERSION = "1.0"
 
 
-def document(diagnostics: Sequence[Diagnostic], more: int) -> str:
+def document(diagnostics: Sequence[Diagnostic], omitted_count: int) -> str:
     errors = sum(diagnostic.severity == "error" for diagnostic in diagnostics)
     content = {
         "format_version": FORMAT_VERSION,
         "valid": errors == 0,
         "error_count": errors,
         "warning_count": len(diagnostics) - errors,
-        "left_out": more,
+        "left_out": omitted_count,
         "diagnostics": [_entry(diagnostic) for diagnostic in diagnostics],
     }
     return json.dumps(content, indent=2, ensure_ascii=True) + "\n"

@@ -11,10 +11,10 @@ from antdsl.source import Span
 _WIDEST = 120  # of a source line; a longer one is shown around the place
 
 
-def full(diagnostics: Sequence[Diagnostic], more: int) -> str:
+def full(diagnostics: Sequence[Diagnostic], omitted_count: int) -> str:
     blocks = [_block(diagnostic) for diagnostic in diagnostics]
-    if more:
-        blocks.append(f"… and {more:,} more\n")
+    if omitted_count:
+        blocks.append(f"… and {omitted_count:,} more\n")
     return "\n".join(blocks)
 
 
@@ -41,10 +41,10 @@ def _snippet(span: Span, margin: int, arrow: str, mark: str, text: str) -> list[
         return [head]
     start = place.column - 1
     end = min(len(line), start + max(1, span.end - span.start))
-    before, marked, after = _window(line, start, end)
+    left_text, marked, right_text = _window(line, start, end)
     marks = mark * max(1, width(marked))
-    under = f"{bar} {' ' * width(before)}{marks} {safe(text)}".rstrip()
-    return [head, bar, f"{place.line:>{margin}} | {before}{marked}{after}".rstrip(), under]
+    under = f"{bar} {' ' * width(left_text)}{marks} {safe(text)}".rstrip()
+    return [head, bar, f"{place.line:>{margin}} | {left_text}{marked}{right_text}".rstrip(), under]
 
 
 def _window(line: str, start: int, end: int) -> tuple[str, str, str]:
@@ -54,5 +54,5 @@ def _window(line: str, start: int, end: int) -> tuple[str, str, str]:
     low = max(0, start - _WIDEST // 3)
     high = min(len(line), low + _WIDEST)
     end = min(end, high)
-    before = ("…" if low else "") + safe_line(line[low:start])
-    return before, safe_line(line[start:end]), safe_line(line[end:high]) + ("…" if high < len(line) else "")
+    left_text = ("…" if low else "") + safe_line(line[low:start])
+    return left_text, safe_line(line[start:end]), safe_line(line[end:high]) + ("…" if high < len(line) else "")

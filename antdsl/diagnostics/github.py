@@ -9,11 +9,11 @@ from antdsl.diagnostics.model import Diagnostic
 from antdsl.diagnostics.places import area, by_weight, safe
 
 
-def github(diagnostics: Sequence[Diagnostic], more: int) -> str:
+def github(diagnostics: Sequence[Diagnostic], omitted_count: int) -> str:
     ordered = sorted(diagnostics, key=lambda diagnostic: by_weight(diagnostic.severity))
     lines = [_command(diagnostic) for diagnostic in ordered]
-    if more:
-        lines.append(f"::notice title=antdsl::{more} more, see the SARIF output")
+    if omitted_count:
+        lines.append(f"::notice title=antdsl::{omitted_count} more, see the SARIF output")
     return "".join(f"{line}\n" for line in lines)
 
 

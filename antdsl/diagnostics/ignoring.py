@@ -27,18 +27,18 @@ class Ignore:
 
 def comments(source: Source) -> Iterator[Ignore]:
     """The comments of a program or a scene that ignore something. One inside quotes is text."""
-    for found in _COMMENT.finditer(source.text):
-        number = source.line_column(found.start(1))[0]
-        before = source.text[: found.start(1)].rpartition("\n")[2]
-        if before.count('"') % 2:
+    for match in _COMMENT.finditer(source.text):
+        number = source.line_column(match.start(1))[0]
+        prefix = source.text[: match.start(1)].rpartition("\n")[2]
+        if prefix.count('"') % 2:
             continue
-        at = found.start(2)
+        at = match.start(2)
         codes = [
             (part.group().strip(), Span(source, at + part.start(), at + part.end()))
-            for part in re.finditer(r"[^\s,](?:[^,]*[^\s,])?", found[2])
+            for part in re.finditer(r"[^\s,](?:[^,]*[^\s,])?", match[2])
         ]
-        line = number if before.strip() else _below(source, number)
-        yield Ignore(Span(source, found.start(1), found.end(1)), line, tuple(codes), found[3].strip())
+        line = number if prefix.strip() else _below(source, number)
+        yield Ignore(Span(source, match.start(1), match.end(1)), line, tuple(codes), match[3].strip())
 
 
 def _below(source: Source, number: int) -> int:
@@ -55,14 +55,20 @@ def _below(source: Source, number: int) -> int:
 def without_ignored(report: Report) -> Report:
     """Return the report without the warnings that a comment ignores."""
     known = {d.span.source for d in report.diagnostics if d.span is not None and d.severity == "warning"}
-    about = {(source.path, ignore.line, code) for source in known for ignore in comments(source) for code, _ in ignore.codes}
-    return Report([d for d in report.diagnostics if not _ignored(d, about)]) if about else report
+    ignored_places = {
+        (source.path, ignore.line, code) for source in known for ignore in comments(source) for code, _ in ignore.codes
+    }
+    return Report([d for d in report.diagnostics if not _ignored(d, ignored_places)]) if ignored_places else report
 
 
-def _ignored(found: Diagnostic, about: set[tuple[str, int, str]]) -> bool:
-    if found.span is None or found.severity != "warning":
+def _ignored(diagnostic: Diagnostic, ignored_places: set[tuple[str, int, str]]) -> bool:
+    if diagnostic.span is None or diagnostic.severity != "warning":
         return False
-    return (found.span.source.path, found.span.source.line_column(found.span.start)[0], found.code) in about
+    return (
+        diagnostic.span.source.path,
+        diagnostic.span.source.line_column(diagnostic.span.start)[0],
+        diagnostic.code,
+    ) in ignored_places
 
 
 def judged(
@@ -74,7 +80,7 @@ def judged(
     sound = report.ok if sound is None else sound
     unknown = RUN_CODES | (frozenset() if strict else STRICT_CODES) | (frozenset() if meshes else MESH_CODES)
     every = [*report.diagnostics, *report.answered]
-    found = {(d.span.source.path, d.span.source.line_column(d.span.start)[0], d.code) for d in every if d.span}
+    warned_places = {(d.span.source.path, d.span.source.line_column(d.span.start)[0], d.code) for d in every if d.span}
     result = without_ignored(report)
     for source in sources:
         for ignore in comments(source):
@@ -84,7 +90,7 @@ def judged(
                 )
             for code, span in ignore.codes:
                 looked = code not in CODES or (sound and code not in unknown)
-                if looked and (source.path, ignore.line, code) not in found:
+                if looked and (source.path, ignore.line, code) not in warned_places:
                     _idle(result, ignore, code, span)
             if not ignore.codes:
                 result.warning("ignored-nothing", "this comment names no code", ignore.span, "write `ignore[CODE] why`")

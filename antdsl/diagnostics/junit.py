@@ -10,7 +10,7 @@ from antdsl.diagnostics.model import Diagnostic
 from antdsl.diagnostics.places import area, safe
 
 
-def junit(diagnostics: Sequence[Diagnostic], more: int) -> str:
+def junit(diagnostics: Sequence[Diagnostic], omitted_count: int) -> str:
     errors = sum(diagnostic.severity == "error" for diagnostic in diagnostics)
     count = str(max(1, len(diagnostics)))
     root = ElementTree.Element("testsuites", tests=count, failures=str(errors))
@@ -19,8 +19,8 @@ def junit(diagnostics: Sequence[Diagnostic], more: int) -> str:
         _case(suite, diagnostic)
     if not diagnostics:
         ElementTree.SubElement(suite, "testcase", classname="antdsl", name="check")
-    if more:
-        ElementTree.SubElement(suite, "system-out").text = f"{more} more"
+    if omitted_count:
+        ElementTree.SubElement(suite, "system-out").text = f"{omitted_count} more"
     ElementTree.indent(root)
     return '<?xml version="1.0" encoding="utf-8"?>\n' + ElementTree.tostring(root, encoding="unicode") + "\n"
 

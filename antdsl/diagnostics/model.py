@@ -82,8 +82,8 @@ _INSTEAD = re.compile("(?:did you mean|write) `([^`…]+)`\\??")
 def replacement(message: str, span: Span | None, help: str | None) -> Fix | None:
     """Return the fix for a span if the help is only the replacement for the text that the message names. Return None if the help
     says more, or the span covers something else."""
-    found = _INSTEAD.fullmatch(help or "")
-    return Fix(span, found[1]) if found and span is not None and f"`{span.text}`" in message else None
+    match = _INSTEAD.fullmatch(help or "")
+    return Fix(span, match[1]) if match and span is not None and f"`{span.text}`" in message else None
 
 
 @dataclass(slots=True)
@@ -93,37 +93,37 @@ class Report:
 
     diagnostics: list[Diagnostic] = field(default_factory=list)
     answered: list[Diagnostic] = field(default_factory=list)
-    _seen: set[tuple[str | int, ...]] = field(init=False, repr=False, compare=False, default_factory=set)
+    _known_keys: set[tuple[str | int, ...]] = field(init=False, repr=False, compare=False, default_factory=set)
 
     def __post_init__(self) -> None:
-        self._seen.update(_key(d) for d in self.diagnostics)
+        self._known_keys.update(_key(d) for d in self.diagnostics)
 
     def add(self, diagnostic: Diagnostic) -> None:
         key = _key(diagnostic)
-        if key not in self._seen:
-            self._seen.add(key)
+        if key not in self._known_keys:
+            self._known_keys.add(key)
             self.diagnostics.append(diagnostic)
 
     def answer(self, diagnostics: Iterable[Diagnostic]) -> None:
         """Drop these warnings from the report, also if they are added later."""
-        found = list(diagnostics)
-        keys = {_key(d) for d in found}
-        self.answered += found
+        warnings = list(diagnostics)
+        keys = {_key(d) for d in warnings}
+        self.answered += warnings
         self.diagnostics = [d for d in self.diagnostics if _key(d) not in keys]
-        self._seen |= keys
+        self._known_keys |= keys
 
-    def error(self, code: str, message: str, span: Span | None, help: str | None = None, **more: object) -> None:
-        self._say("error", code, message, span, help, more)
+    def error(self, code: str, message: str, span: Span | None, help: str | None = None, **details: object) -> None:
+        self._say("error", code, message, span, help, details)
 
-    def warning(self, code: str, message: str, span: Span | None, help: str | None = None, **more: object) -> None:
-        self._say("warning", code, message, span, help, more)
+    def warning(self, code: str, message: str, span: Span | None, help: str | None = None, **details: object) -> None:
+        self._say("warning", code, message, span, help, details)
 
     def _say(
-        self, severity: Severity, code: str, message: str, span: Span | None, help: str | None, more: dict[str, object]
+        self, severity: Severity, code: str, message: str, span: Span | None, help: str | None, details: dict[str, object]
     ) -> None:
-        if more.get("fix") is None:
-            more["fix"] = replacement(message, span, help)
-        self.add(Diagnostic(code, message, span, severity, help, **more))  # type: ignore[arg-type]
+        if details.get("fix") is None:
+            details["fix"] = replacement(message, span, help)
+        self.add(Diagnostic(code, message, span, severity, help, **details))  # type: ignore[arg-type]
 
     def extend(self, others: Report | Iterable[Diagnostic]) -> None:
         if isinstance(others, Report) and others.answered:

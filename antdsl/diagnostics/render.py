@@ -14,10 +14,10 @@ from antdsl.diagnostics.places import area, safe
 from antdsl.diagnostics.sarif import sarif
 
 
-def concise(diagnostics: Sequence[Diagnostic], more: int) -> str:
+def concise(diagnostics: Sequence[Diagnostic], omitted_count: int) -> str:
     lines = [_line(diagnostic) for diagnostic in diagnostics]
-    if more:
-        lines.append(f"… and {more:,} more")
+    if omitted_count:
+        lines.append(f"… and {omitted_count:,} more")
     return "".join(f"{line}\n" for line in lines)
 
 
@@ -45,15 +45,15 @@ def render(report: Report, format: str = "full") -> str:
     another format.
 
     Errors take precedence over warnings where not all can be shown."""
-    kept = shown(report)
-    return FORMATS[format](kept, len(report.diagnostics) - len(kept))
+    diagnostics = visible_diagnostics(report)
+    return FORMATS[format](diagnostics, len(report.diagnostics) - len(diagnostics))
 
 
-def shown(report: Report) -> list[Diagnostic]:
+def visible_diagnostics(report: Report) -> list[Diagnostic]:
     """Return the findings that people see, by place: at most 50, where errors take precedence over warnings."""
     ordered = report.sorted()
     if len(ordered) <= limits.DIAGNOSTICS_SHOWN:
         return ordered
-    kept = sorted(ordered, key=lambda diagnostic: diagnostic.severity != "error")[: limits.DIAGNOSTICS_SHOWN]
-    chosen = {id(diagnostic) for diagnostic in kept}
+    most_severe = sorted(ordered, key=lambda diagnostic: diagnostic.severity != "error")[: limits.DIAGNOSTICS_SHOWN]
+    chosen = {id(diagnostic) for diagnostic in most_severe}
     return [diagnostic for diagnostic in ordered if id(diagnostic) in chosen]

@@ -19,18 +19,18 @@ from antdsl.source import Span
 _SCHEMA = "https://docs.oasis-open.org/sarif/sarif/v2.1.0/errata01/os/schemas/sarif-schema-2.1.0.json"
 
 
-def sarif(diagnostics: Sequence[Diagnostic], more: int) -> str:
+def sarif(diagnostics: Sequence[Diagnostic], omitted_count: int) -> str:
     codes = sorted({diagnostic.code for diagnostic in diagnostics})
     rules = [_rule(code) for code in codes]
-    seen: Counter[str] = Counter()
-    results = [_result(diagnostic, codes.index(diagnostic.code), seen) for diagnostic in diagnostics]
+    fingerprint_counts: Counter[str] = Counter()
+    results = [_result(diagnostic, codes.index(diagnostic.code), fingerprint_counts) for diagnostic in diagnostics]
     run: dict[str, Any] = {
         "tool": {"driver": {"name": "antdsl", "semanticVersion": __version__, "rules": rules}},
         "columnKind": "unicodeCodePoints",
         "results": results,
     }
-    if more:
-        run["properties"] = {"leftOut": more}
+    if omitted_count:
+        run["properties"] = {"leftOut": omitted_count}
     return json.dumps({"$schema": _SCHEMA, "version": "2.1.0", "runs": [run]}, indent=2, ensure_ascii=True) + "\n"
 
 
@@ -44,7 +44,7 @@ def _rule(code: str) -> dict[str, Any]:
     return rule
 
 
-def _result(diagnostic: Diagnostic, rule: int, seen: Counter[str]) -> dict[str, Any]:
+def _result(diagnostic: Diagnostic, rule: int, fingerprint_counts: Counter[str]) -> dict[str, Any]:
     text = diagnostic.message + (f"\nhelp: {diagnostic.help}" if diagnostic.help else "")
     result: dict[str, Any] = {
         "ruleId": diagnostic.code,
@@ -54,7 +54,7 @@ def _result(diagnostic: Diagnostic, rule: int, seen: Counter[str]) -> dict[str, 
     }
     if diagnostic.span is not None:
         result["locations"] = [_location(diagnostic.span)]
-        result["partialFingerprints"] = {"primaryLocationLineHash": _fingerprint(diagnostic, diagnostic.span, seen)}
+        result["partialFingerprints"] = {"primaryLocationLineHash": _fingerprint(diagnostic, diagnostic.span, fingerprint_counts)}
     if diagnostic.labels:
         result["relatedLocations"] = [{**_location(label.span), "message": {"text": label.text}} for label in diagnostic.labels]
     if diagnostic.fix is not None:
@@ -72,10 +72,10 @@ def _location(span: Span) -> dict[str, Any]:
     return {"physicalLocation": {"artifactLocation": {"uri": uri}, "region": region}}
 
 
-def _fingerprint(diagnostic: Diagnostic, span: Span, seen: Counter[str]) -> str:
+def _fingerprint(diagnostic: Diagnostic, span: Span, fingerprint_counts: Counter[str]) -> str:
     """Return a fingerprint that stays equal when lines above are added: from the code and the line's text, with a counter for
     repetitions."""
     line = span.source.line_text(area(span).line).strip()
     digest = hashlib.sha256(f"{diagnostic.code}\0{span.source.path}\0{line}".encode("utf-8", "surrogatepass")).hexdigest()[:16]
-    seen[digest] += 1
-    return f"{digest}:{seen[digest]}"
+    fingerprint_counts[digest] += 1
+    return f"{digest}:{fingerprint_counts[digest]}"

@@ -20,5 +20,5 @@ def nearest_name(word: str, candidates: Iterable[str]) -> str | None:
             return name
     # below four letters one wrong letter is already a large part of the word, so more unlikeness is allowed
     cutoff = 0.5 if len(word) <= 3 else 0.65
-    found = get_close_matches(word[:64], names, n=1, cutoff=cutoff)
-    return found[0] if found else None
+    matches = get_close_matches(word[:64], names, n=1, cutoff=cutoff)
+    return matches[0] if matches else None

@@ -61,7 +61,7 @@ def _decode(entry: list[Any], table: list[Source]) -> Diagnostic:
         place and _span(place, table),
         severity,
         help_,
-        tuple(Label(_span(there, table), text) for there, text in labels),
+        tuple(Label(_span(label_place, table), text) for label_place, text in labels),
         fix and Fix(_span(fix[0], table), fix[1]),
     )
 

@@ -21,7 +21,7 @@ from distributed import Client, KilledWorker, LocalCluster, Security
 
 from antdsl.child_processes import isolate
 from antdsl.executors.cluster_worker import Project, forget, identity, other_sources, perform_there, read_part, sees
-from antdsl.executors.parcel import Parcel, Seen, pack
+from antdsl.executors.parcel import FileBundle, VisibleFile, pack
 from antdsl.executors.tasks import LOOK, LOOPBACK, TLS_FILES, Lost, Refused, Task
 from antdsl.outputs.provenance import sources
 
@@ -30,7 +30,7 @@ _CONNECT = 15  # seconds to wait for a scheduler
 _FIRST = 5.0  # seconds for the files to be there, until tasks are given
 _IN_VAIN = 3  # times that all tasks are resubmitted without an answer in between
 _ALL_LOST = "each worker that it was given to was lost"
-_TOLD = 2000  # characters of one sentence of a worker
+_SENTENCE_LENGTH = 2000  # characters of one sentence of a worker
 
 
 def security_of(folder: Path) -> Security:
@@ -64,9 +64,11 @@ def local_cluster(workers: int, threads: int) -> Iterator[tuple[str, Security]]:
 
 
 @contextmanager
-def connected(address: str, security: Security | None, files: Iterable[Path], seen: Seen | None = None) -> Iterator[Cluster]:
-    """Connect to a cluster. Its workers have received the files, or all see one file (`seen`) and are assumed to see the others.
-    Raises Lost where no scheduler answers, Refused where all its workers are rejected or the files are too large."""
+def connected(
+    address: str, security: Security | None, files: Iterable[Path], visible_file: VisibleFile | None = None
+) -> Iterator[Cluster]:
+    """Connect to a cluster. Its workers have received the files, or all see one file (`visible_file`) and are assumed to see the
+    others. Raises Lost where no scheduler answers, Refused where all its workers are rejected or the files are too large."""
     for name in [name for name in logging.root.manager.loggerDict if name.startswith("distributed")]:
         logging.getLogger(name).setLevel(logging.CRITICAL)  # what there is to tell we tell
     with ExitStack() as stack:
@@ -74,8 +76,10 @@ def connected(address: str, security: Security | None, files: Iterable[Path], se
             client = stack.enter_context(Client(address, security=security, timeout=_CONNECT, set_as_default=False))
         except (OSError, ValueError) as why:
             raise Lost(f"no scheduler answers at {address}: {str(why).splitlines()[0]}") from None
-        shared = seen is not None and all(saw is True for saw in client.run(sees, seen, on_error="return").values())
-        cluster = Cluster(client, pack([] if shared else files), seen if shared else None)
+        shared = visible_file is not None and all(
+            saw is True for saw in client.run(sees, visible_file, on_error="return").values()
+        )
+        cluster = Cluster(client, pack([] if shared else files), visible_file if shared else None)
         cluster.begin()
         yield cluster
 
@@ -83,9 +87,9 @@ def connected(address: str, security: Security | None, files: Iterable[Path], se
 class Cluster:
     """Runs tasks on the workers of a Dask cluster."""
 
-    def __init__(self, client: Any, parcel: Parcel, seen: Seen | None) -> None:
+    def __init__(self, client: Any, bundle: FileBundle, visible_file: VisibleFile | None) -> None:
         self._client = client
-        self._project = Project(parcel, sources(), seen)
+        self._project = Project(bundle, sources(), visible_file)
         self.name: str = self._project.name
         self._heard: SimpleQueue[dict[str, Any]] = SimpleQueue()
         self._told: list[str] = []
@@ -104,25 +108,25 @@ class Cluster:
         """Send the files to the existing workers, and to those that join later."""
         client = self._client
         client.subscribe_topic(self.name, lambda event: self._heard.put(event[1]))
-        there = client.run(identity, on_error="return")
+        worker_identities = client.run(identity, on_error="return")
         unfit = {}
-        for address, has in there.items():
+        for address, has in worker_identities.items():
             if isinstance(has, BaseException):
                 unfit[address] = f"worker {address} cannot run this antdsl, so it is given nothing: {has}"
             elif has["sources"] != sources():
                 unfit[address] = other_sources(address, has, sources())
-        if there and len(unfit) == len(there):
+        if worker_identities and len(unfit) == len(worker_identities):
             raise Refused("\n".join(unfit.values()))
         for words in unfit.values():
             self._told.append(words)
         with suppress(ImportError, AttributeError):  # by a worker that has been reported
             client.register_plugin(self._project)
         until = time.monotonic() + _FIRST
-        while there and not self._fit and time.monotonic() < until:
+        while worker_identities and not self._fit and time.monotonic() < until:
             self._listen()
             time.sleep(0.02)
         self._there = set(self._fit)
-        if not there:
+        if not worker_identities:
             self._told.append("no worker has come to the scheduler yet; it goes on once one does")
 
     @property
@@ -148,7 +152,7 @@ class Cluster:
             inner = executor.submit(perform_there, task.work, json.dumps(task.document), self.name, task.key, self._attempt)
             self._given[outer] = task, inner
             self._executor = executor
-        inner.add_done_callback(lambda done: self._ended(outer, done))
+        inner.add_done_callback(lambda finished_future: self._ended(outer, finished_future))
 
     def _ended(self, outer: Future[str], inner: Future[str]) -> None:
         with self._lock:
@@ -171,10 +175,10 @@ class Cluster:
     def notes(self) -> Iterable[str]:
         self._listen()
         self._look()
-        told = [sentence for sentence in dict.fromkeys(self._told) if sentence not in self._once]
+        sentences = [sentence for sentence in dict.fromkeys(self._told) if sentence not in self._once]
         self._told = []
-        self._once.update(told)  # a rejected worker reports this too
-        return told
+        self._once.update(sentences)  # a rejected worker reports this too
+        return sentences
 
     def _listen(self) -> None:
         """Take in what workers have said."""
@@ -186,7 +190,7 @@ class Cluster:
                 elif "fit" in said:
                     self._fit.add(str(said["fit"]))
                 elif "refused" in said:
-                    self._told.append("".join(s if s.isprintable() else " " for s in str(said["refused"])[:_TOLD]))
+                    self._told.append("".join(s if s.isprintable() else " " for s in str(said["refused"])[:_SENTENCE_LENGTH]))
 
     def _look(self) -> None:
         """Check from time to time which workers are available. If none was available and one is now, all tasks are resubmitted.
@@ -195,21 +199,21 @@ class Cluster:
             return
         self._looked = time.monotonic()
         try:
-            there = self._fit & set(self._client.nthreads())
+            present_workers = self._fit & set(self._client.nthreads())
         except OSError:
             return  # of a scheduler that is gone; the tasks say so
-        if there and not there & self._there:
+        if present_workers and not present_workers & self._there:
             with self._lock:
                 self._attempt, self._in_vain = self._attempt + 1, self._in_vain + 1
-                given = list(self._given.items())
-                for outer, (task, inner) in given:
+                assignments = list(self._given.items())
+                for outer, (task, inner) in assignments:
                     if self._in_vain > _IN_VAIN:
                         del self._given[outer]
                         outer.set_exception(Refused(_ALL_LOST))
                     else:
                         self._give(self._executor, outer, task)
                     inner.cancel()
-        self._there = there
+        self._there = present_workers
 
     def why_broken(self) -> str:
         return "the scheduler is gone"

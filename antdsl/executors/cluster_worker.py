@@ -22,7 +22,7 @@ from distributed.diagnostics.plugin import WorkerPlugin
 
 from antdsl import __version__
 from antdsl.bounded import open_bounded
-from antdsl.executors.parcel import Parcel, Seen, inside
+from antdsl.executors.parcel import FileBundle, VisibleFile, inside
 from antdsl.executors.tasks import LOOK, Refused, Work, Worker, perform
 from antdsl.limits import MADE_BYTES, MIB
 from antdsl.outputs.provenance import sources
@@ -33,9 +33,9 @@ PART_BYTES = 8 * MIB  # of a file that is fetched, at a time
 class Project(WorkerPlugin):  # type: ignore[misc]
     """The files of a project, as every worker of a cluster receives them. The bytes of the files are the only user data in it."""
 
-    def __init__(self, parcel: Parcel, sources: str, seen: Seen | None) -> None:
-        self.name = f"antdsl-{seen.digest if seen is not None else parcel.digest}-{sources}"
-        self.parcel, self.sources, self.seen = parcel, sources, seen
+    def __init__(self, bundle: FileBundle, sources: str, visible_file: VisibleFile | None) -> None:
+        self.name = f"antdsl-{visible_file.digest if visible_file is not None else bundle.digest}-{sources}"
+        self.parcel, self.sources, self.seen = bundle, sources, visible_file
         self.worker: Worker | None = None
 
     async def setup(self, worker: Any) -> None:
@@ -43,9 +43,9 @@ class Project(WorkerPlugin):  # type: ignore[misc]
         if self.sources != sources():
             worker.log_event(self.name, {"refused": other_sources(worker.address, identity(), self.sources)})
             return
-        if self.seen is not None and not self.seen.there():
-            told = f"worker {worker.address} does not see `{self.seen.path}`, as the others do, so it is given nothing"
-            worker.log_event(self.name, {"refused": told})
+        if self.seen is not None and not self.seen.is_visible():
+            message = f"worker {worker.address} does not see `{self.seen.path}`, as the others do, so it is given nothing"
+            worker.log_event(self.name, {"refused": message})
             return
         folder = Path(worker.local_directory) / self.name
         try:
@@ -57,8 +57,8 @@ class Project(WorkerPlugin):  # type: ignore[misc]
             )
             return
         files = folder / "files"
-        here = Path if self.seen is not None else functools.partial(inside, files)
-        self.worker = Worker(worker.state.nthreads, here=here, scratch=folder / "made", name=worker.address)
+        local_path = Path if self.seen is not None else functools.partial(inside, files)
+        self.worker = Worker(worker.state.nthreads, local_path=local_path, scratch=folder / "made", name=worker.address)
         if self.name not in worker.state.total_resources:  # said again, it would count as free what a task has
             await worker.set_resources(**{self.name: 1})
         worker.log_event(self.name, {"fit": worker.address})
@@ -67,16 +67,16 @@ class Project(WorkerPlugin):  # type: ignore[misc]
 _one_at_a_time = threading.Lock()
 
 
-def _take_in(parcel: Parcel, folder: Path) -> None:
+def _take_in(bundle: FileBundle, folder: Path) -> None:
     """Put the files where tasks look for them, unless an earlier command did."""
     with _one_at_a_time:
-        whole = folder / "whole"  # is there once all the others are
-        if whole.is_file():
+        complete_mark = folder / "whole"  # is there once all the others are
+        if complete_mark.is_file():
             return
         shutil.rmtree(folder, ignore_errors=True)
-        parcel.unpack(folder / "files")
+        bundle.unpack(folder / "files")
         (folder / "made").mkdir(parents=True)
-        whole.touch()
+        complete_mark.touch()
 
 
 def identity() -> dict[str, str]:
@@ -84,16 +84,16 @@ def identity() -> dict[str, str]:
     return {"antdsl": __version__, "sources": sources(), "host": platform.node()}
 
 
-def sees(seen: Seen) -> bool:
+def sees(visible_file: VisibleFile) -> bool:
     """Return whether a worker sees a file of the requester."""
-    return seen.there()
+    return visible_file.is_visible()
 
 
-def other_sources(address: str, has: Mapping[str, str], wanted: str) -> str:
+def other_sources(address: str, has: Mapping[str, str], expected_sources: str) -> str:
     """Why a worker is given nothing."""
     return (
         f"worker {address} on {has['host']} has antdsl {has['antdsl']} with other sources ({has['sources'][:8]}, "
-        f"here {wanted[:8]}), so it is given nothing: install there what is installed here"
+        f"here {expected_sources[:8]}), so it is given nothing: install there what is installed here"
     )
 
 
@@ -105,13 +105,13 @@ def perform_there(work: Work, text: str, name: str, key: str, attempt: int) -> s
         raise Refused(f"worker {dask_worker.address} has not got the files")
     said = time.monotonic()
 
-    def told(frame: int) -> None:
+    def report_frame(frame: int) -> None:
         nonlocal said
         if time.monotonic() - said > LOOK:
             said = time.monotonic()
             dask_worker.log_event(name, {"key": key, "frame": frame})
 
-    project.worker.told = told
+    project.worker.told = report_frame
     try:
         return perform(work, text, project.worker)
     except OSError as why:
@@ -131,7 +131,7 @@ def read_part(name: str, file: str, start: int) -> bytes:
 
 def forget(name: str, folder: str) -> None:
     """Remove the files of a task after they were fetched."""
-    made = Path(get_worker().local_directory) / name / "made"
-    path = (made / folder).resolve()
-    if path.is_relative_to(made.resolve()) and path != made.resolve():
+    scratch_folder = Path(get_worker().local_directory) / name / "made"
+    path = (scratch_folder / folder).resolve()
+    if path.is_relative_to(scratch_folder.resolve()) and path != scratch_folder.resolve():
         shutil.rmtree(path, ignore_errors=True)

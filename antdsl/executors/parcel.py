@@ -12,11 +12,11 @@ from pathlib import Path, PurePath
 
 from antdsl.bounded import read_bounded
 from antdsl.executors.tasks import Refused
-from antdsl.limits import PARCEL_BYTES
+from antdsl.limits import BUNDLE_BYTES
 
 
 @dataclass(frozen=True, slots=True)
-class Parcel:
+class FileBundle:
     """`data`: the length of a table of contents in 8 bytes, the table as JSON (paths and sizes, in order), the files."""
 
     data: bytes
@@ -39,44 +39,44 @@ class Parcel:
 
 
 @dataclass(frozen=True, slots=True)
-class Seen:
+class VisibleFile:
     """A file that identifies machines with the same folders: its path, and a hash of its content."""
 
     path: str
     digest: str
 
     @classmethod
-    def of(cls, path: Path) -> Seen:
+    def of(cls, path: Path) -> VisibleFile:
         """OSError where there is no such file."""
-        whole = Path(os.path.abspath(path))
-        return cls(str(whole), _digest(read_bounded(whole, PARCEL_BYTES)))
+        absolute_path = Path(os.path.abspath(path))
+        return cls(str(absolute_path), _digest(read_bounded(absolute_path, BUNDLE_BYTES)))
 
-    def there(self) -> bool:
+    def is_visible(self) -> bool:
         """Whether it is seen here."""
         try:
-            return _digest(read_bounded(self.path, PARCEL_BYTES)) == self.digest
+            return _digest(read_bounded(self.path, BUNDLE_BYTES)) == self.digest
         except OSError:
             return False
 
 
-def pack(paths: Iterable[Path]) -> Parcel:
+def pack(paths: Iterable[Path]) -> FileBundle:
     """Return an input bundle of regular files. Raises Refused if they are more than `PARCEL_BYTES` together, OSError if one
     cannot be read."""
     files: dict[str, bytes] = {}
-    left = PARCEL_BYTES
+    left = BUNDLE_BYTES
     for path in sorted({Path(os.path.abspath(path)) for path in paths}):
-        content = read_bounded(path, PARCEL_BYTES)
+        content = read_bounded(path, BUNDLE_BYTES)
         left -= len(content)
         if left < 0:
-            raise Refused(f"the files that the scenes read are more than {PARCEL_BYTES >> 20} MiB, and more do not travel")
+            raise Refused(f"the files that the scenes read are more than {BUNDLE_BYTES >> 20} MiB, and more do not travel")
         files[_inner(path)] = content
     return _packed(files)
 
 
-def _packed(files: Mapping[str, bytes]) -> Parcel:
+def _packed(files: Mapping[str, bytes]) -> FileBundle:
     table = json.dumps([[name, len(content)] for name, content in files.items()]).encode()
     data = b"".join((len(table).to_bytes(8, "little"), table, *files.values()))
-    return Parcel(data, _digest(data))
+    return FileBundle(data, _digest(data))
 
 
 def inside(folder: Path, path: str) -> Path:

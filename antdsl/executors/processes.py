@@ -78,8 +78,8 @@ class Processes:
 def _how_it_ended(code: int | None) -> str:
     if code is not None and code < 0:
         name = signal.Signals(-code).name if -code in {s.value for s in signal.Signals} else str(-code)
-        more = ", most likely for want of memory" if name == "SIGKILL" else ""
-        return f"its process was ended by {name}{more}"
+        reason = ", most likely for want of memory" if name == "SIGKILL" else ""
+        return f"its process was ended by {name}{reason}"
     return f"its process ended with code {code}"
 
 
@@ -110,11 +110,11 @@ def _end_with_parent() -> None:
 def _perform(work: Work, text: str, place: int) -> str:
     said = time.monotonic()
 
-    def told(frame: int) -> None:
+    def report_frame(frame: int) -> None:
         nonlocal said
         if time.monotonic() - said > LOOK:
             said = time.monotonic()
             _frames[place] = frame
 
-    _worker.told = told
+    _worker.report_frame = report_frame
     return perform(work, text, _worker)

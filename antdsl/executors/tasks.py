@@ -30,16 +30,16 @@ class Lost(Exception):
 
 @dataclass(slots=True)
 class Worker:
-    """The environment of a task. `threads`: how many it may use. `told`: called with frames. `kept`: objects by name that last
-    from one task of the process to the next. `notes`: messages about deviations from the request, sent with the answer. `here`:
-    maps a path of the requester to this machine. `scratch`: a folder for fetched files, None where all machines see the same
-    folders. `name`: of the process, empty on the requester's machine."""
+    """The environment of a task. `threads`: how many it may use. `report_frame`: called with frames. `cached_values`: objects by
+    name that last from one task of the process to the next. `notes`: messages about deviations from the request, sent with the
+    answer. `local_path`: maps a path of the requester to this machine. `scratch`: a folder for fetched files, None where all
+    machines see the same folders. `name`: of the process, empty on the requester's machine."""
 
     threads: int
-    told: Callable[[int], None] = lambda frame: None
-    kept: dict[str, Any] = field(default_factory=dict)
+    report_frame: Callable[[int], None] = lambda frame: None
+    cached_values: dict[str, Any] = field(default_factory=dict)
     notes: list[str] = field(default_factory=list)
-    here: Callable[[str], Path] = Path
+    local_path: Callable[[str], Path] = Path
     scratch: Path | None = None
     name: str = ""
 
@@ -96,11 +96,11 @@ class Executors(Protocol):
 def run_tasks(
     tasks: Iterable[Task],
     executors: Executors,
-    told: Callable[[Task, int], None] = lambda task, frame: None,
+    report_frame: Callable[[Task, int], None] = lambda task, frame: None,
     noted: Callable[[str], None] = lambda sentence: None,
 ) -> Iterator[Answered]:
-    """Run tasks and yield the outcome of each as it is known. `told` is called from time to time with the frame that a task has
-    reached, `noted` with messages about workers. `tasks` is read one at a time, whenever another one can start.
+    """Run tasks and yield the outcome of each as it is known. `report_frame` is called from time to time with the frame that a
+    task has reached, `noted` with messages about workers. `tasks` is read one at a time, whenever another one can start.
 
     Where a process is lost, the cause is unknown: all running tasks are run again, one by one. A task that breaks the executor
     when it runs alone is given up. Raises Lost where no executor can be started again."""
@@ -120,17 +120,17 @@ def run_tasks(
                 running[executors.submit(executor, task, place)] = task, place
             if not running:
                 return
-            done, _ = wait(running, timeout=LOOK, return_when=FIRST_COMPLETED)
+            finished_futures, _ = wait(running, timeout=LOOK, return_when=FIRST_COMPLETED)
             for sentence in executors.notes():
                 noted(sentence)
             for future, (task, place) in running.items():
-                frame = executors.frame(place) if future not in done else None
+                frame = executors.frame(place) if future not in finished_futures else None
                 if frame is not None:
-                    told(task, frame)
-            if any(_broken(future) for future in done):
-                done, _ = wait(running)  # with it all the others are broken, or answered just before
+                    report_frame(task, frame)
+            if any(_broken(future) for future in finished_futures):
+                finished_futures, _ = wait(running)  # with it all the others are broken, or answered just before
             lost = []
-            for future in done:
+            for future in finished_futures:
                 task, _ = running.pop(future)
                 if _broken(future):
                     lost.append(task)

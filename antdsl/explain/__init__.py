@@ -1,6 +1,6 @@
 """Explains an agent's step: the step is repeated from a checkpoint and traced. Data comes first; formatting is separate."""
 
-from antdsl.explain.account import Account, accounts, placed_accounts
+from antdsl.explain.account import LocatedExplanation, explain_agents, locate_explanations
 from antdsl.explain.history import CacheHistory, ExplainError, History, open_shot
 from antdsl.explain.model import Explanation, as_json
 from antdsl.explain.queries import absent, explain
@@ -9,18 +9,18 @@ from antdsl.explain.strip import stretches
 from antdsl.explain.text_report import tell
 
 __all__ = [
-    "Account",
     "CacheHistory",
     "ExplainError",
     "Explanation",
     "History",
+    "LocatedExplanation",
     "Replay",
     "absent",
-    "accounts",
     "as_json",
     "explain",
+    "explain_agents",
+    "locate_explanations",
     "open_shot",
-    "placed_accounts",
     "stretches",
     "tell",
 ]

@@ -13,18 +13,18 @@ from antdsl.explain.deciding import machine_step
 from antdsl.explain.model import Explanation, MachineStep, Triple
 from antdsl.explain.pushing import layers, pushed, steers
 from antdsl.explain.replaying import Replay
-from antdsl.explain.sensing import draws, fields, seen, senses
+from antdsl.explain.sensing import draws, fields, observed_sets, senses
 from antdsl.explain.tracing import Trace
 from antdsl.explain.value_text import place, triple
 from antdsl.plan.lowering.source_map import resting_site
 from antdsl.program.model import Handler, Species
 from antdsl.runtime.world import AXES, Population, World
 
-PLACES = 256  # of each set
+MOST_POSITIONS = 256  # of each set
 
 
 @dataclass(frozen=True, slots=True)
-class Account:
+class LocatedExplanation:
     """An explanation with positions, in mm relative to the world's origin: of the agent at the start of the step, and of the
     agents and items it considered. The nearest of each set comes first."""
 
@@ -33,36 +33,36 @@ class Account:
     neighbours: tuple[Triple, ...]
 
 
-def accounts(replay: Replay, frame: int, agents: Sequence[tuple[str, int]]) -> list[Explanation | None]:
+def explain_agents(replay: Replay, frame: int, agents: Sequence[tuple[str, int]]) -> list[Explanation | None]:
     """Return what each agent (species, id) did in the step to a frame, without its state timeline. None for an agent that did not
     live when the step began, or was in quarantine. Raises ExplainError if the step cannot be repeated."""
-    return [None if each is None else each.explanation for each in placed_accounts(replay, frame, agents)]
+    return [None if each is None else each.explanation for each in locate_explanations(replay, frame, agents)]
 
 
-def placed_accounts(replay: Replay, frame: int, agents: Sequence[tuple[str, int]]) -> list[Account | None]:
+def locate_explanations(replay: Replay, frame: int, agents: Sequence[tuple[str, int]]) -> list[LocatedExplanation | None]:
     """As `accounts`, with the places."""
 
-    def look(world: World, population: Population, trace: Trace) -> tuple[Trace, Account]:
-        return trace, Account(_account(replay, frame, world, population, trace), *_places(trace))
+    def look(world: World, population: Population, trace: Trace) -> tuple[Trace, LocatedExplanation]:
+        return trace, LocatedExplanation(_build_explanation(replay, frame, world, population, trace), *_positions(trace))
 
-    done = replay.step(frame, agents, look)
-    found: list[Account | None] = []
-    for each in done.seen:
+    step = replay.step(frame, agents, look)
+    explanations: list[LocatedExplanation | None] = []
+    for each in step.results:
         if each is None:
-            found.append(None)
+            explanations.append(None)
             continue
-        trace, made = each
-        told = _ended(replay, done.after, trace, made.explanation)
-        found.append(replace(made, explanation=replace(told, hash=done.hash, checkpoint=done.checkpoint)))
-    return found
+        trace, located = each
+        explanation = _ended(replay, step.end_world, trace, located.explanation)
+        explanations.append(replace(located, explanation=replace(explanation, hash=step.hash, checkpoint=step.checkpoint)))
+    return explanations
 
 
-def _places(trace: Trace) -> tuple[Triple, tuple[Triple, ...]]:
+def _positions(trace: Trace) -> tuple[Triple, tuple[Triple, ...]]:
     """Return the position of the agent at the start of the step, and those of the agents that it looked at, each once."""
-    own = triple(trace.before[f"position.{axis}"] for axis in AXES)
-    near = [member for members in trace.sets.values() for member in sorted(members, key=lambda m: float(m[4]))[:PLACES]]
-    found = (triple(own[k] + float(member[1 + k]) for k in range(3)) for member in near)
-    return own, tuple(dict.fromkeys(found))
+    own = triple(trace.start[f"position.{axis}"] for axis in AXES)
+    near = [member for members in trace.sets.values() for member in sorted(members, key=lambda m: float(m[4]))[:MOST_POSITIONS]]
+    positions = (triple(own[k] + float(member[1 + k]) for k in range(3)) for member in near)
+    return own, tuple(dict.fromkeys(positions))
 
 
 def _collides(handler: Handler, trace: Trace) -> bool:
@@ -72,13 +72,13 @@ def _collides(handler: Handler, trace: Trace) -> bool:
     return any(node.op == "contact" and node.attrs[0] == handler.of and value[0] != -1 for node, value in trace.senses.items())
 
 
-def _account(replay: Replay, frame: int, world: World, population: Population, trace: Trace) -> Explanation:
+def _build_explanation(replay: Replay, frame: int, world: World, population: Population, trace: Trace) -> Explanation:
     """Return all that is known before the effects of the step."""
     program = replay.shot.program.species[population.name]
     notes = replay.notes[population.name]
     machines = tuple(machine_step(world, population, machine, notes, trace) for machine in population.plan.machines)
     fps = world.setting.fps
-    velocity = triple(trace.before[f"velocity.{axis}"] for axis in AXES)
+    velocity = triple(trace.start[f"velocity.{axis}"] for axis in AXES)
     handlers = tuple(
         place(handler.span)
         for handler in program.handlers
@@ -103,7 +103,7 @@ def _account(replay: Replay, frame: int, world: World, population: Population, t
         push=triple(pushed(trace)),
         velocity=(velocity, None),
         acceleration=None,
-        seen=seen(world, trace),
+        seen=observed_sets(world, trace),
         fields=fields(world, population, trace.row),
         senses=senses(trace),
         draws=draws(trace),
@@ -115,30 +115,33 @@ def _account(replay: Replay, frame: int, world: World, population: Population, t
 def _sites(species: Species, machines: Sequence[MachineStep]) -> tuple[str, ...]:
     """Return the code sites that run for this agent in this step. These are the bodies of its current states, or the default
     where none of them has a `steer` line; and the layers' `face` lines."""
-    found = [f"{species.name}.{m.machine}.{m.after}#" for m in machines]
-    found += [f"{species.name}.{m.machine}.{m.after}.enter#" for m in machines if m.changed]
-    found.append(f"{species.name}.layers.face#")
+    sites = [f"{species.name}.{m.machine}.{m.after}#" for m in machines]
+    sites += [f"{species.name}.{m.machine}.{m.after}.enter#" for m in machines if m.changed]
+    sites.append(f"{species.name}.layers.face#")
     rest = species.rest
     if rest is not None:
         states = {m.name: [state.name for state in m.states] for m in species.machines}
-        here = {m.machine: states[m.machine].index(m.after) for m in machines}
-        if all(here[name] in silent for name, silent in rest.silent.items()):
-            found.append(resting_site(species.name))
-    return tuple(found)
+        state_indices = {m.machine: states[m.machine].index(m.after) for m in machines}
+        if all(state_indices[name] in silent for name, silent in rest.silent.items()):
+            sites.append(resting_site(species.name))
+    return tuple(sites)
 
 
-def _ended(replay: Replay, world: World, trace: Trace, told: Explanation) -> Explanation:
+def _ended(replay: Replay, world: World, trace: Trace, explanation: Explanation) -> Explanation:
     """Return the explanation with the results of the step; an agent that died in the step has no more."""
-    population = world.populations[told.species]
-    row = int(population.rows_of(np.array([told.agent]))[0])
+    population = world.populations[explanation.species]
+    row = int(population.rows_of(np.array([explanation.agent]))[0])
     if row < 0:
-        return replace(told, notes=(f"it died in this step: frame {told.frame} is without it",))
+        return replace(explanation, notes=(f"it died in this step: frame {explanation.frame} is without it",))
     velocity: Triple = triple(population.now[f"velocity.{axis}"][row] for axis in AXES)
-    gained = triple((after - before) / world.dt for before, after in zip(told.velocity[0], velocity, strict=True))
-    species = replay.shot.program.species[told.species]
+    gained = triple(
+        (new_component - old_component) / world.dt
+        for old_component, new_component in zip(explanation.velocity[0], velocity, strict=True)
+    )
+    species = replay.shot.program.species[explanation.species]
     return replace(
-        told,
-        velocity=(told.velocity[0], velocity),
+        explanation,
+        velocity=(explanation.velocity[0], velocity),
         acceleration=gained,
-        changes=changes(world, population, species, trace, told.agent),
+        changes=changes(world, population, species, trace, explanation.agent),
     )

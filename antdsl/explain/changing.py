@@ -15,7 +15,7 @@ from antdsl.plan.registers import pair_values
 from antdsl.program.model import Dim, Kind, Species, Type
 from antdsl.program.tables.effects import EFFECTS, Effect, phrase
 from antdsl.program.tables.units import unit_of
-from antdsl.runtime.requests import Asked, Effects
+from antdsl.runtime.requests import Effects, RequestEntry
 from antdsl.runtime.world import AXES, Population, World
 from antdsl.specs.value_text import place_text
 
@@ -37,32 +37,36 @@ def _changes(world: World, population: Population, species: Species, trace: Trac
         stem = name.removesuffix(".x")
         memory = register.role == "memory"
         if name.endswith(".x") and f"{stem}.y" in population.plan.registers:
-            both = [[a[f"{stem}.{axis}"] for axis in AXES] for a in (trace.before, _row(population, stem, row))]
+            both = [[a[f"{stem}.{axis}"] for axis in AXES] for a in (trace.start, _row(population, stem, row))]
             if any(x != y for x, y in zip(*both, strict=True)):
                 yield _vector(world, stem, both, types.get(stem), memory)
             continue
-        before, after = trace.before[name], population.now[name][row]
-        if before != after:
+        old_value, new_value = trace.start[name], population.now[name][row]
+        if old_value != new_value:
             type = types.get(name) or _type(name, register, species)
             unit = unit_of(type.dim) if type.kind is Kind.NUMBER else ""
-            told = [(value(world, each, type, unit), said(world, each, type, unit)) for each in (before, after)]
-            yield Changed(name, told[0][0], told[1][0], unit, (told[0][1], told[1][1]), memory)
+            value_texts = [(value(world, each, type, unit), said(world, each, type, unit)) for each in (old_value, new_value)]
+            yield Changed(name, value_texts[0][0], value_texts[1][0], unit, (value_texts[0][1], value_texts[1][1]), memory)
 
     for name, slots in pair_values(population.plan.registers).items():
-        kept = [_kept(registers, slots) for registers in (trace.before, {n: a[row] for n, a in population.now.items()})]
+        pair_maps = [
+            _values_by_other(registers, slots) for registers in (trace.start, {n: a[row] for n, a in population.now.items()})
+        ]
         unit = unit_of(types[name].dim)
-        for other in sorted(kept[0].keys() | kept[1].keys()):
-            if kept[0].get(other) != kept[1].get(other):
-                told = [_about(world, each.get(other), types[name], unit) for each in kept]
-                yield Changed(f"{name}[{other}]", told[0][0], told[1][0], unit, (told[0][1], told[1][1]), False)
+        for other in sorted(pair_maps[0].keys() | pair_maps[1].keys()):
+            if pair_maps[0].get(other) != pair_maps[1].get(other):
+                value_texts = [_describe_value(world, each.get(other), types[name], unit) for each in pair_maps]
+                yield Changed(
+                    f"{name}[{other}]", value_texts[0][0], value_texts[1][0], unit, (value_texts[0][1], value_texts[1][1]), False
+                )
 
 
-def _kept(registers: Mapping[str, Any], slots: list[tuple[str, str]]) -> dict[int, Any]:
+def _values_by_other(registers: Mapping[str, Any], slots: list[tuple[str, str]]) -> dict[int, Any]:
     """Return an agent's values per pair, by the other agent's id."""
     return {int(registers[who]): registers[held] for who, held in slots if registers[who] >= 0}
 
 
-def _about(world: World, held: Any, type: Type, unit: str) -> tuple[Value, str]:
+def _describe_value(world: World, held: Any, type: Type, unit: str) -> tuple[Value, str]:
     return ("nothing", "nothing") if held is None else (value(world, held, type, unit), said(world, held, type, unit))
 
 
@@ -73,12 +77,14 @@ def _row(population: Population, stem: str, row: int) -> dict[str, Any]:
 def _vector(world: World, name: str, both: list[list[Any]], type: Type | None, memory: bool) -> Changed:
     unit = _VECTORS.get(name, unit_of(type.dim) if type is not None else "")
     origin = world.origin if name == "position" else (0.0, 0.0, 0.0)  # registers are relative to it
-    before, after = (triple(in_unit(world, float(x) + o, unit) for x, o in zip(vector, origin, strict=True)) for vector in both)
+    old_vector, new_vector = (
+        triple(in_unit(world, float(x) + o, unit) for x, o in zip(vector, origin, strict=True)) for vector in both
+    )
     if name == "position":
-        shown = [f"({place_text(vector, origin, 1.0)}) {unit}" for vector in both]
+        texts = [f"({place_text(vector, origin, 1.0)}) {unit}" for vector in both]
     else:
-        shown = [f"({', '.join(f'{x:.4g}' for x in vector)}) {unit}".strip() for vector in (before, after)]
-    return Changed(name, before, after, unit, (shown[0], shown[1]), memory)
+        texts = [f"({', '.join(f'{x:.4g}' for x in vector)}) {unit}".strip() for vector in (old_vector, new_vector)]
+    return Changed(name, old_vector, new_vector, unit, (texts[0], texts[1]), memory)
 
 
 def _type(name: str, register: Register, species: Species) -> Type:
@@ -93,15 +99,20 @@ def _type(name: str, register: Register, species: Species) -> Type:
 
 def did(effects: Effects) -> tuple[str, ...]:
     """Return the agent's requests to the world, in words: deposits, gifts, digging, calls, births and its death."""
-    told = {row.op: [line for entry in effects.asked.get(row.op, ()) if (line := _told(row, entry))] for row in EFFECTS.values()}
-    found = told.pop("deposit")
-    found += [f"give {entry.statement.own} {float(entry.amount[0]):.4g} to {entry.statement.items}" for entry in effects.gives]
-    found += [line for lines in told.values() for line in lines]
-    found += [f"a value for `{entry.register}` was no number and was refused" for entry in effects.faults]
-    return tuple(found)
+    lines_by_effect = {
+        row.op: [line for entry in effects.requests.get(row.op, ()) if (line := _describe_request(row, entry))]
+        for row in EFFECTS.values()
+    }
+    sentences = lines_by_effect.pop("deposit")
+    sentences += [
+        f"give {entry.statement.own} {float(entry.amount[0]):.4g} to {entry.statement.items}" for entry in effects.gives
+    ]
+    sentences += [line for lines in lines_by_effect.values() for line in lines]
+    sentences += [f"a value for `{entry.register}` was no number and was refused" for entry in effects.faults]
+    return tuple(sentences)
 
 
-def _told(row: Effect, entry: Asked) -> str:
+def _describe_request(row: Effect, entry: RequestEntry) -> str:
     """Return one request in the words of its row; empty if it has no effect."""
     if row.quiet_at_0 and not float(entry.arg(0)[0]):
         return ""
@@ -112,4 +123,4 @@ def _told(row: Effect, entry: Asked) -> str:
         name: None if arg is None else str(int(arg[0])) if name in row.agents else f"{float(arg[0]):.4g}"
         for name, arg in args.items()
     }
-    return phrase(row.trace, {**values, "of": entry.request.of, "own": entry.request.own, "whom": entry.request.whom})
+    return phrase(row.trace, {**values, "of": entry.request.of, "own": entry.request.own, "whom": entry.request.target_species})

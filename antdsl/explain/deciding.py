@@ -18,9 +18,9 @@ from antdsl.runtime.world import Population, World
 def machine_step(world: World, population: Population, machine: MachinePlan, notes: Notes, trace: Trace) -> MachineStep:
     """Return the step of one machine of an agent. `world` is in the step to be explained, still in its state at the start of the
     step."""
-    before = int(trace.before[f"{machine.name}.state"])
-    after = int(trace.now[f"{machine.name}.state"])
-    mine = [n for n in notes.changes if n.machine == machine.name and n.state.index == before]
+    old_state = int(trace.start[f"{machine.name}.state"])
+    new_state = int(trace.now[f"{machine.name}.state"])
+    mine = [n for n in notes.changes if n.machine == machine.name and n.state.index == old_state]
     winner = int(trace.now[f"~{machine.name}.pending"]) if mine else 0
     won = next((note for note in mine if note.number == winner), None)
     claim = _claim(world, population, won, trace) if won is not None and won.transition.take is not None else None
@@ -28,13 +28,13 @@ def machine_step(world: World, population: Population, machine: MachinePlan, not
     choice = notes.choices.get(won.transition.key) if won is not None and changed else None
     return MachineStep(
         machine.name,
-        machine.states[before],
-        machine.states[after],
-        float(trace.before[f"{machine.name}.time_in_state"]),
+        machine.states[old_state],
+        machine.states[new_state],
+        float(trace.start[f"{machine.name}.time_in_state"]),
         tuple(_looked(world, machine, note, winner, trace) for note in mine),
         changed,
         claim,
-        None if choice is None else _choice(machine, choice, trace, after),
+        None if choice is None else _choice(machine, choice, trace, new_state),
     )
 
 
@@ -90,7 +90,7 @@ def _turn(world: World, population: Population, entry: ClaimEntry, row: int) -> 
     return float(words[0][0]) / float(np.uint64(1) << np.uint64(32))
 
 
-def _choice(machine: MachinePlan, note: ChoiceNote, trace: Trace, after: int) -> Choice | None:
+def _choice(machine: MachinePlan, note: ChoiceNote, trace: Trace, new_state: int) -> Choice | None:
     if note.draw not in trace.values:
         return None
     total = sum(float(trace.values[node]) for _, node in note.weights)
@@ -98,4 +98,4 @@ def _choice(machine: MachinePlan, note: ChoiceNote, trace: Trace, after: int) ->
     for index, node in note.weights:
         sum_so_far += float(trace.values[node])
         bars.append((machine.states[index], sum_so_far / total if total > 0 else 0.0))
-    return Choice(float(trace.values[note.draw]), tuple(bars), machine.states[after])
+    return Choice(float(trace.values[note.draw]), tuple(bars), machine.states[new_state])

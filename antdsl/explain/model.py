@@ -135,7 +135,7 @@ class Near:
 
 
 @dataclass(frozen=True, slots=True)
-class Seen:
+class ObservedSet:
     """The content of a set: `asked` is its text, `count` its size, `nearest` the nearest members."""
 
     asked: str
@@ -210,7 +210,7 @@ class Explanation:
     push: Triple
     velocity: tuple[Triple, Triple | None]
     acceleration: Triple | None
-    seen: tuple[Seen, ...]
+    seen: tuple[ObservedSet, ...]
     fields: tuple[tuple[str, float], ...]
     senses: tuple[Sense, ...]
     draws: tuple[Draw, ...]
@@ -220,8 +220,8 @@ class Explanation:
 
 def as_json(explanation: Explanation) -> dict[str, Any]:
     """Return the explanation as JSON values: infinity and NaN become null."""
-    found: dict[str, Any] = _sayable({"format": FORMAT, **asdict(explanation)})
-    return found
+    document: dict[str, Any] = _sayable({"format": FORMAT, **asdict(explanation)})
+    return document
 
 
 def _sayable(value: Any) -> Any:

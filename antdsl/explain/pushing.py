@@ -31,13 +31,13 @@ def _layer(world: World, mode: str, note: LayerNote, trace: Trace) -> Layer:
         return Layer(where, "off", condition, left, None, 0.0, nothing, 0.0, 0.0)
     push = np.array([trace.values[node] for node in note.push], _F)
     size = length(push)
-    given = _given(mode, push, size, _F(left))
-    had = float(length(given))
+    granted_push = _grant_push(mode, push, size, _F(left))
+    had = float(length(granted_push))
     state = "pushed" if size > 0 else "nothing"
-    return Layer(where, state, condition, left, triple(push), float(size), triple(given), had, max(float(size) - had, 0.0))
+    return Layer(where, state, condition, left, triple(push), float(size), triple(granted_push), had, max(float(size) - had, 0.0))
 
 
-def _given(mode: str, push: Push, size: np.float32, left: np.float32) -> Push:
+def _grant_push(mode: str, push: Push, size: np.float32, left: np.float32) -> Push:
     """Return a layer's part of the push: all of it in a sum; cut to the remaining budget, or to length 1 where the first layer
     takes all."""
     if mode == "sum":
@@ -49,8 +49,8 @@ def _given(mode: str, push: Push, size: np.float32, left: np.float32) -> Push:
 def length(push: Push) -> np.float32:
     """The length of a vector, in the order of operations of the plan."""
     x, y, z = push
-    found: np.float32 = np.sqrt((x * x + y * y) + z * z)
-    return found
+    size: np.float32 = np.sqrt((x * x + y * y) + z * z)
+    return size
 
 
 def pushed(trace: Trace) -> Push:
@@ -58,13 +58,13 @@ def pushed(trace: Trace) -> Push:
     return np.array([trace.now[f"push.{axis}"] for axis in AXES], _F)
 
 
-def steers(species: str, notes: Notes, trace: Trace, places: tuple[str, ...]) -> tuple[Steer, ...]:
+def steers(species: str, notes: Notes, trace: Trace, sites: tuple[str, ...]) -> tuple[Steer, ...]:
     """Return the `steer` and `face` lines that ran at sites with one of these prefixes."""
-    found = []
+    steer_lines = []
     for note in notes.steers:
-        if note.site.startswith(places) and all(node in trace.values for node in note.push):
+        if note.site.startswith(sites) and all(node in trace.values for node in note.push):
             push = np.array([trace.values[node] for node in note.push], _F)
             if note.holds is None or trace.values.get(note.holds, False):
                 part = "state" if note.holds is None else "layers"
-                found.append(Steer(note.text, triple(push), float(length(push)), part))
-    return tuple(found)
+                steer_lines.append(Steer(note.text, triple(push), float(length(push)), part))
+    return tuple(steer_lines)

@@ -9,11 +9,11 @@ from pathlib import Path
 import numpy as np
 
 from antdsl.diagnostics.suggestion import nearest_name
-from antdsl.explain.account import accounts
+from antdsl.explain.account import explain_agents
 from antdsl.explain.history import CacheHistory, ExplainError, open_shot
 from antdsl.explain.model import Explanation, Stretch
 from antdsl.explain.replaying import Replay
-from antdsl.explain.strip import strip
+from antdsl.explain.strip import state_timeline
 from antdsl.outputs.cache.cache_reader import Cache
 from antdsl.runtime.moving.walks import is_led
 
@@ -34,26 +34,28 @@ def explain(
     `species` is optional if the scene has only one; `scene` if its file is near the cache."""
     name = _species(cache, species)
     _frame(cache, frame)
-    stretches, alive = strip(cache, name, agent)
+    stretches, alive = state_timeline(cache, name, agent)
     _alive(cache, name, agent, frame, stretches, alive)
     replay = Replay(CacheHistory.of(cache, open_shot(cache, scene, grants), threads))
-    found = accounts(replay, frame, [(name, agent)])[0]
-    if found is None:
+    explanation = explain_agents(replay, frame, [(name, agent)])[0]
+    if explanation is None:
         raise absent(replay, name, agent, frame)
-    return replace(found, strip=stretches, alive=alive)
+    return replace(explanation, strip=stretches, alive=alive)
 
 
-def _species(cache: Cache, wanted: str | None) -> str:
+def _species(cache: Cache, requested_species: str | None) -> str:
     names = [entry.name for entry in cache.manifest.species]
-    if wanted in names:
-        return str(wanted)
+    if requested_species in names:
+        return str(requested_species)
     listed = ", ".join(f"`{name}`" for name in names)
-    if wanted is None:
+    if requested_species is None:
         if len(names) == 1:
             return names[0]
         raise ExplainError(f"`{cache.folder}` has more than one species", f"say which with `--species`: {listed}", usage=True)
-    near = nearest_name(wanted, names)
-    raise ExplainError(f"no species `{wanted}`", f"did you mean `{near}`?" if near else f"there is {listed}", usage=True)
+    near = nearest_name(requested_species, names)
+    raise ExplainError(
+        f"no species `{requested_species}`", f"did you mean `{near}`?" if near else f"there is {listed}", usage=True
+    )
 
 
 def _frame(cache: Cache, frame: int) -> None:
@@ -78,7 +80,7 @@ def _alive(
     if "id" not in cache.manifest.attributes:
         return
     if alive is None:
-        raise ExplainError(f"no {species} {agent}", _whom(cache, species, agent, frame), usage=True)
+        raise ExplainError(f"no {species} {agent}", _describe_agents(cache, species, agent, frame), usage=True)
     if not any(s.first <= frame - 1 <= s.last for s in stretches):
         when = f"{species} {agent} is there from frame {alive[0]} to {alive[1]}"
         if frame <= alive[0]:
@@ -89,7 +91,7 @@ def _alive(
         raise ExplainError(f"{species} {agent} is not there at frame {frame}", when, usage=True)
 
 
-def _whom(cache: Cache, species: str, agent: int, frame: int) -> str:
+def _describe_agents(cache: Cache, species: str, agent: int, frame: int) -> str:
     """Return a hint: which agents of the species a frame has, and which id is most like the given one."""
     arrays = cache.frame(frame, frozenset(("id", "species")))
     ids = arrays["id"]
@@ -98,8 +100,8 @@ def _whom(cache: Cache, species: str, agent: int, frame: int) -> str:
     if not len(ids):
         return f"no {species} lives at frame {frame}"
     near = nearest_name(str(agent), (str(each) for each in ids.tolist()))
-    there = f"at frame {frame} there are {len(ids)}, from {int(ids.min())} to {int(ids.max())}"
-    return f"did you mean {near}? {there}" if near else there
+    range_text = f"at frame {frame} there are {len(ids)}, from {int(ids.min())} to {int(ids.max())}"
+    return f"did you mean {near}? {range_text}" if near else range_text
 
 
 def absent(replay: Replay, species: str, agent: int, frame: int) -> ExplainError:
@@ -115,5 +117,5 @@ def absent(replay: Replay, species: str, agent: int, frame: int) -> ExplainError
             "`antdsl run` reported the value that was no number",
         )
     ids = population.ids
-    there = f"there are {len(ids)}, from {int(ids.min())} to {int(ids.max())}" if len(ids) else "none lives"
-    return ExplainError(f"no {species} {agent} at frame {frame - 1}", there, usage=True)
+    range_text = f"there are {len(ids)}, from {int(ids.min())} to {int(ids.max())}" if len(ids) else "none lives"
+    return ExplainError(f"no {species} {agent} at frame {frame - 1}", range_text, usage=True)

@@ -29,12 +29,12 @@ Look = Callable[[World, Population, Trace], T]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Step(Generic[T]):
-    """A repeated step. `seen`: the result from each agent's trace; None for an agent that did not live when the step began, or
-    was in quarantine. `after` and `hash`: the world at its end, which the next step changes. `checkpoint`: the frame it was
+    """A repeated step. `results`: the result from each agent's trace; None for an agent that did not live when the step began, or
+    was in quarantine. `end_world` and `hash`: the world at its end, which the next step changes. `checkpoint`: the frame it was
     continued from."""
 
-    seen: tuple[T | None, ...]
-    after: World
+    results: tuple[T | None, ...]
+    end_world: World
     hash: str
     checkpoint: int
 
@@ -80,13 +80,13 @@ class Replay:
         world = self.begin(frame)
         self.history.before_step(world)
         self._world = None  # until the step is whole
-        seen: tuple[T | None, ...] = ()
+        results: tuple[T | None, ...] = ()
         for name, phase in PHASES:
             if name == _TRACED_BEFORE:
-                seen = tuple(self._look(world, species, agent, look) for species, agent in agents)
+                results = tuple(self._look(world, species, agent, look) for species, agent in agents)
             phase(world)
         self._world = world
-        return Step(seen, world, self._same(world), self._checkpoint)
+        return Step(results, world, self._same(world), self._checkpoint)
 
     def _look(self, world: World, species: str, agent: int, look: Look[T]) -> T | None:
         population = world.populations[species]
@@ -97,8 +97,8 @@ class Replay:
             world, population, traced(world, population, self.plan.species[species], row, self.notes[species], self.became)
         )
 
-    def _nearer(self, here: int, frame: int) -> bool:
-        return any(here < point < frame for point in self.history.points())
+    def _nearer(self, start_frame: int, frame: int) -> bool:
+        return any(start_frame < point < frame for point in self.history.points())
 
     def _restored(self, frame: int) -> World:
         """Return a world at the last good checkpoint that is not after a frame."""
@@ -111,8 +111,8 @@ class Replay:
 
     def _same(self, world: World) -> str:
         """Return the hash of the state. Raises the history's error if it differs from the known hash."""
-        found = state_hash(world)
-        if self.history.hash(world.frame) not in (None, found):
+        world_hash = state_hash(world)
+        if self.history.hash(world.frame) not in (None, world_hash):
             self._world = None
             raise self.history.differs(world.frame)
-        return found
+        return world_hash

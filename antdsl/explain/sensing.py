@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from antdsl.explain.model import Draw, Near, Seen, Sense
+from antdsl.explain.model import Draw, Near, ObservedSet, Sense
 from antdsl.explain.tracing import Trace
 from antdsl.plan.ir import Node
 from antdsl.program.tables import rows
@@ -16,28 +16,28 @@ from antdsl.runtime.backends.reference import Member
 from antdsl.runtime.world import Population, World
 
 MOST = 10  # reported others of a set
-NOBODY = -1  # the id of no agent
+NO_AGENT = -1  # the id of no agent
 _LONG = 72  # letters of a text
 
 
-def seen(world: World, trace: Trace) -> tuple[Seen, ...]:
+def observed_sets(world: World, trace: Trace) -> tuple[ObservedSet, ...]:
     """Return the sets that were searched, each once, in the order of the queries."""
-    found: dict[tuple[str, tuple[int, ...]], Seen] = {}
+    sets_by_key: dict[tuple[str, tuple[int, ...]], ObservedSet] = {}
     for node, members in trace.sets.items():
         nearest = sorted(members, key=lambda m: (float(m[4]), m[0]))
         of = str(node.attrs[0])
         key = (of, tuple(m[0] for m in nearest))
-        if key not in found:
+        if key not in sets_by_key:
             near = tuple(_near(world, node, member) for member in nearest[:MOST])
-            found[key] = Seen(_text(node), of, len(members), near)
-    return tuple(found.values())
+            sets_by_key[key] = ObservedSet(_text(node), of, len(members), near)
+    return tuple(sets_by_key.values())
 
 
 def _near(world: World, node: Node, member: Member) -> Near:
     row, distance, of = member[0], float(member[4]), str(node.attrs[0])
     if node.op == "set.items":
         items = world.items[of]
-        amounts = ", ".join(f"{name} {float(items.seen[name][row]):.4g}" for name in items.amounts)
+        amounts = ", ".join(f"{name} {float(items.visible_values[name][row]):.4g}" for name in items.amounts)
         return Near(items.names[row], distance, amounts)
     population = world.populations[of]
     machines = population.plan.machines
@@ -60,12 +60,12 @@ def senses(trace: Trace) -> tuple[Sense, ...]:
 
 def _sense(node: Node, value: Any) -> Iterator[Sense]:
     row = SENSES[node.op]
-    if row.quiet or (row.results[0].kind == "l" and value[0] == NOBODY):
+    if row.quiet or (row.results[0].kind == "l" and value[0] == NO_AGENT):
         return
     kind, _, what = node.op.partition(".")
     values = tuple(bool(v) if isinstance(v, np.bool_) else float(v) for v in (value if isinstance(value, tuple) else (value,)))
-    told, name = (f"{kind} {what}".strip(), str(node.attrs[0])) if row.of else ("sense", node.op)
-    yield Sense(told, name, _text(node), _words(row, values), values)
+    label, name = (f"{kind} {what}".strip(), str(node.attrs[0])) if row.of else ("sense", node.op)
+    yield Sense(label, name, _text(node), _words(row, values), values)
 
 
 def _words(row: rows.Sense, values: tuple[bool | float, ...]) -> str:
@@ -80,12 +80,12 @@ def _words(row: rows.Sense, values: tuple[bool | float, ...]) -> str:
 
 def draws(trace: Trace) -> tuple[Draw, ...]:
     """The random numbers, by site."""
-    found = []
+    drawn_numbers = []
     for node, value in trace.draws.items():
         index = node.attrs[1] if node.op == "draw" else 0
         site = str(node.attrs[0]) + (f"[{index}]" if index else "")
-        found.append(Draw(site, _text(node), float(value)))
-    return tuple(sorted(found, key=lambda draw: draw.site))
+        drawn_numbers.append(Draw(site, _text(node), float(value)))
+    return tuple(sorted(drawn_numbers, key=lambda draw: draw.site))
 
 
 def _text(node: Node) -> str:

@@ -10,7 +10,7 @@ from antdsl.outputs.cache.cache_reader import Cache
 _NAMES = frozenset(("id", "state", "species"))
 
 
-def strip(cache: Cache, species: str, agent: int) -> tuple[tuple[Stretch, ...], tuple[int, int] | None]:
+def state_timeline(cache: Cache, species: str, agent: int) -> tuple[tuple[Stretch, ...], tuple[int, int] | None]:
     """Return its states of the first machine as consecutive stretches, and the first and last frame in which it lives; None if no
     frame has it.
 
@@ -20,20 +20,20 @@ def strip(cache: Cache, species: str, agent: int) -> tuple[tuple[Stretch, ...], 
     machine = next(iter(cache.manifest.species[number].machines), None)
     states = [state.name for state in machine.states] if machine is not None else []
     known = ((frame, _state(cache, frame, number, agent)) for frame in cache.frames())
-    seen = ((frame, _named(states, state)) for frame, state in known if state is not None)
-    found = stretches("" if machine is None else machine.name, seen)
-    return found, (found[0].first, found[-1].last) if found else None
+    frame_states = ((frame, _named(states, state)) for frame, state in known if state is not None)
+    parts = stretches("" if machine is None else machine.name, frame_states)
+    return parts, (parts[0].first, parts[-1].last) if parts else None
 
 
-def stretches(machine: str, seen: Iterable[tuple[int, str]]) -> tuple[Stretch, ...]:
+def stretches(machine: str, frame_states: Iterable[tuple[int, str]]) -> tuple[Stretch, ...]:
     """Return frames in order with their states, merged where consecutive frames have the same state."""
-    found: list[Stretch] = []
-    for frame, state in seen:
-        if found and found[-1].state == state and found[-1].last == frame - 1:
-            found[-1] = Stretch(machine, state, found[-1].first, frame)
+    parts: list[Stretch] = []
+    for frame, state in frame_states:
+        if parts and parts[-1].state == state and parts[-1].last == frame - 1:
+            parts[-1] = Stretch(machine, state, parts[-1].first, frame)
         else:
-            found.append(Stretch(machine, state, frame, frame))
-    return tuple(found)
+            parts.append(Stretch(machine, state, frame, frame))
+    return tuple(parts)
 
 
 def _named(states: Sequence[str], state: int) -> str:

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from itertools import pairwise
 from pathlib import PurePath
 
-from antdsl.explain.model import Explanation, Layer, Looked, MachineStep, Part, Place, Seen, Stretch, Triple
+from antdsl.explain.model import Explanation, Layer, Looked, MachineStep, ObservedSet, Part, Place, Stretch, Triple
 
 _BAR = 20  # characters for the whole budget
 _STRETCHES = 12  # of a long life, those around the requested frame
@@ -28,7 +28,7 @@ def _lines(e: Explanation) -> Iterator[str]:
         yield "its states"
         for name in dict.fromkeys(each.machine for each in e.strip):
             mine = tuple(each for each in e.strip if each.machine == name)
-            yield from _strip(mine, e.frame, f"{name}: " if len(mine) < len(e.strip) else "")
+            yield from _timeline_lines(mine, e.frame, f"{name}: " if len(mine) < len(e.strip) else "")
     for machine in e.machines:
         yield ""
         yield from _machine(machine)
@@ -39,7 +39,7 @@ def _lines(e: Explanation) -> Iterator[str]:
     yield ""
     yield from _pushes(e)
     yield from _around(e)
-    yield from _after(e)
+    yield from _effect_lines(e)
 
 
 def _where(place: Place) -> str:
@@ -47,18 +47,18 @@ def _where(place: Place) -> str:
     return f"{PurePath(place.file).name}:{place.line}"
 
 
-def _strip(strip: tuple[Stretch, ...], frame: int, name: str) -> Iterator[str]:
+def _timeline_lines(timeline: tuple[Stretch, ...], frame: int, name: str) -> Iterator[str]:
     """States over frames, the one of this frame in brackets."""
-    at = next((k for k, s in enumerate(strip) if s.first <= frame <= s.last), len(strip) - 1)
-    first = max(0, min(at - _STRETCHES // 2, len(strip) - _STRETCHES))
-    part = strip[first : first + _STRETCHES]
+    at = next((k for k, s in enumerate(timeline) if s.first <= frame <= s.last), len(timeline) - 1)
+    first = max(0, min(at - _STRETCHES // 2, len(timeline) - _STRETCHES))
+    part = timeline[first : first + _STRETCHES]
     words = []
     for k, stretch in enumerate(part, first):
         state = stretch.state or "alive"
         frames = f"{stretch.first}..{stretch.last}" if stretch.first != stretch.last else f"{stretch.first}"
         words.append(f"[{state} {frames}]" if k == at else f"{state} {frames}")
-    before, after = "… > " if first else "", " > …" if first + _STRETCHES < len(strip) else ""
-    yield f"  {name}{before}{' > '.join(words)}{after}"
+    prefix, suffix = "… > " if first else "", " > …" if first + _STRETCHES < len(timeline) else ""
+    yield f"  {name}{prefix}{' > '.join(words)}{suffix}"
     gaps = [f"{a.last + 1}..{b.first - 1}" for a, b in pairwise(part) if b.first > a.last + 1]
     if gaps:
         yield f"  not in the cache: {', '.join(gaps)}"
@@ -93,8 +93,10 @@ def _looked(looked: Looked, hidden: bool) -> Iterator[str]:
     word = "wins" if looked.wins else ("holds too" if hidden else "holds") if looked.fires else "no"
     yield f"  {word:<9} {looked.place.text}  ({_where(looked.place)})"
     if looked.condition is not None:
-        whole = looked.condition
-        for part in whole.parts if whole.role == "joined" and not looked.timers else (whole,):  # whether it holds is said already
+        condition = looked.condition
+        for part in (
+            condition.parts if condition.role == "joined" and not looked.timers else (condition,)
+        ):  # whether it holds is said already
             yield from _parts(part, "            ")
     for timer in looked.timers:
         sign = "has passed" if timer.holds else "has not passed"
@@ -134,10 +136,11 @@ def _pushes(e: Explanation) -> Iterator[str]:
     for steer in e.steers:
         yield f"  {'':<{_BAR + 2}} {steer.part}: {steer.text} = {_vector(steer.push)}, length {steer.length:.4g}"
     yield f"  together  {_vector(e.push)}, length {_length(e.push):.4g}"
-    before, after = e.velocity
-    if after is not None and e.acceleration is not None:
+    old_velocity, new_velocity = e.velocity
+    if new_velocity is not None and e.acceleration is not None:
         yield (
-            f"  velocity  {_vector(before)} -> {_vector(after)} mm/s, speed {_length(before):.4g} -> {_length(after):.4g} mm/s"
+            f"  velocity  {_vector(old_velocity)} -> {_vector(new_velocity)} mm/s, "
+            f"speed {_length(old_velocity):.4g} -> {_length(new_velocity):.4g} mm/s"
         )
         yield f"  so        {_vector(e.acceleration)} mm/s^2 in this step"
 
@@ -181,7 +184,7 @@ def _around(e: Explanation) -> Iterator[str]:
         yield ""
         yield "looked at"
         for group in e.seen:
-            yield from _seen(group)
+            yield from _observed_lines(group)
     if e.fields:
         yield ""
         yield "fields at its place"
@@ -199,16 +202,16 @@ def _around(e: Explanation) -> Iterator[str]:
             yield f"  and {len(e.draws) - _DRAWS} more"
 
 
-def _seen(group: Seen) -> Iterator[str]:
+def _observed_lines(group: ObservedSet) -> Iterator[str]:
     yield f"  {group.count} {group.of}: {group.asked}"
     for near in group.nearest:
-        about = f", {near.about}" if near.about else ""
-        yield f"    {near.name} at {near.distance:.4g} mm{about}"
+        detail = f", {near.about}" if near.about else ""
+        yield f"    {near.name} at {near.distance:.4g} mm{detail}"
     if group.count > len(group.nearest):
         yield f"    and {group.count - len(group.nearest)} more"
 
 
-def _after(e: Explanation) -> Iterator[str]:
+def _effect_lines(e: Explanation) -> Iterator[str]:
     if e.did:
         yield ""
         yield "did"

@@ -12,7 +12,7 @@ import numpy as np
 
 from antdsl.plan import ir
 from antdsl.plan.lowering.source_map import ChangeNote, LayerNote, Notes, PartNote
-from antdsl.plan.registers import places
+from antdsl.plan.registers import statement_numbers
 from antdsl.program.tables.senses import SENSES
 from antdsl.runtime.backends.reference import BLOCKS, Agent, Member, with_winnings
 from antdsl.runtime.requests import ClaimEntry, Effects
@@ -23,11 +23,11 @@ _DRAWN = frozenset(("draw", "draw.agent"))
 
 @dataclass(slots=True, eq=False)
 class Trace:
-    """The events of a step. `values`: of noted nodes. `before` and `now`: registers at the start of the step, and after the
+    """The events of a step. `values`: of noted nodes. `start` and `now`: registers at the start of the step, and after the
     blocks. `claims`: those of the agent, in text order."""
 
     row: int
-    before: dict[str, Any]
+    start: dict[str, Any]
     now: dict[str, Any]
     values: dict[ir.Node, Any] = field(default_factory=dict)
     sets: dict[ir.Node, list[Member]] = field(default_factory=dict)
@@ -50,7 +50,7 @@ class TracedAgent(Agent):
         notes: Notes,
         became: Mapping[ir.Node, ir.Node],
     ) -> None:
-        super().__init__(world, population, row, now, 0, Effects(), places(plan))
+        super().__init__(world, population, row, now, 0, Effects(), statement_numbers(plan))
         self.plan, self.notes, self.became = plan, notes, became
         self.trace = Trace(row, {name: array[0] for name, array in now.items()}, {})
 
@@ -70,7 +70,7 @@ class TracedAgent(Agent):
     def _decided(self) -> None:
         """Compute the notes of changes that can never fire: no register is stored for them, so they were not recorded."""
         for note in self.notes.changes:
-            if note.state.index == int(self.trace.before[f"{note.machine}.state"]):
+            if note.state.index == int(self.trace.start[f"{note.machine}.state"]):
                 for node in of_change(note):
                     if node not in self.trace.values:
                         self.trace.values[node] = self.value(self.became.get(node, node))
@@ -79,7 +79,7 @@ class TracedAgent(Agent):
         super()._store(s)
         machine = s.register.removeprefix("~").removesuffix(".pending")
         if s.register == f"~{machine}.pending":
-            state = int(self.trace.before[f"{machine}.state"])
+            state = int(self.trace.start[f"{machine}.state"])
             for note in self.notes.changes:
                 if note.machine == machine and note.state.index == state:
                     for node in of_change(note):

@@ -14,7 +14,7 @@ from antdsl.program.model import Kind, Type
 from antdsl.program.tables.units import measure
 from antdsl.runtime.world import World
 from antdsl.source import Span
-from antdsl.specs.value_text import shown
+from antdsl.specs.value_text import format_value
 
 Values = Mapping[Node, Any]
 _LONG = 160
@@ -37,7 +37,7 @@ def part(world: World, note: PartNote | None, values: Values) -> Part | None:
     """A noted part with what it was worth."""
     if note is None or any(node not in values for node in note.nodes):
         return None
-    inner = tuple(found for each in note.parts if (found := part(world, each, values)) is not None)
+    inner = tuple(inner_part for each in note.parts if (inner_part := part(world, each, values)) is not None)
     if len(note.nodes) == 3:
         vector = triple(in_unit(world, values[node], note.unit) for node in note.nodes)
         words = f"({', '.join(f'{x:.4g}' for x in vector)}) {note.unit}".strip()
@@ -54,7 +54,7 @@ def said(world: World, raw: Any, type: Type, unit: str) -> str:
         type = Type(Kind.BOOL)
     elif type.kind is Kind.BOOL:
         type = Type(Kind.NUMBER)
-    return shown(world, raw, type, unit)
+    return format_value(world, raw, type, unit)
 
 
 def value(world: World, raw: Any, type: Type, unit: str) -> Value:

@@ -10,19 +10,19 @@ from antdsl.farm.shot_job import Job, Step, words
 def json_lines(job: Job) -> str:
     """Return a line for each command, in a valid execution order: `name`, `step`, `command` as words, and `needs`, the names of
     the commands that must finish first. Paths are absolute paths of this machine."""
-    paths = {place.name: str(place.path.resolve()) for place in job.places}
+    paths = {place.name: str(place.path.resolve()) for place in job.paths}
     names = {step.name: [_name(step, frames) for frames in step.chunks or ("",)] for step in job.steps}
     lines = []
     for step in job.steps:
-        needs = [name for before in step.needs for name in names[before]]
+        needs = [name for earlier_step in step.needs for name in names[earlier_step]]
         for frames in step.chunks or ("",):
-            about = {
+            entry = {
                 "name": _name(step, frames),
                 "step": step.name,
                 "command": words(step.command, frames, paths),
                 "needs": needs,
             }
-            lines.append(json.dumps(about, ensure_ascii=False))
+            lines.append(json.dumps(entry, ensure_ascii=False))
     return "".join(f"{line}\n" for line in lines)
 
 

@@ -17,14 +17,14 @@ def template(job: Job, folder: Path) -> dict[str, Any]:
     return {
         "specificationVersion": "jobtemplate-2023-09",
         "name": job.name,
-        "parameterDefinitions": [_parameter(place, folder) for place in job.places],
+        "parameterDefinitions": [_parameter(place, folder) for place in job.paths],
         "steps": [_step(step) for step in job.steps],
     }
 
 
 def unnamed(job: Job, folder: Path) -> list[Place]:
     """Return the places that the submitter of the job must name."""
-    return [place for place in job.places if _below(place, folder) is None]
+    return [place for place in job.paths if _below(place, folder) is None]
 
 
 def _below(place: Place, folder: Path) -> str | None:
@@ -33,9 +33,15 @@ def _below(place: Place, folder: Path) -> str | None:
 
 
 def _parameter(place: Place, folder: Path) -> dict[str, Any]:
-    found = {"name": place.name, "type": "PATH", "objectType": "DIRECTORY", "dataFlow": place.flow, "description": place.about}
+    parameter = {
+        "name": place.name,
+        "type": "PATH",
+        "objectType": "DIRECTORY",
+        "dataFlow": place.flow,
+        "description": place.description,
+    }
     below = _below(place, folder)
-    return found if below is None else found | {"default": below}
+    return parameter if below is None else parameter | {"default": below}
 
 
 def _step(step: Step) -> dict[str, Any]:
@@ -45,13 +51,13 @@ def _step(step: Step) -> dict[str, Any]:
         "args": rest,
         "cancelation": {"mode": "NOTIFY_THEN_TERMINATE", "notifyPeriodInSeconds": step.grace},
     }
-    found: dict[str, Any] = {"name": step.name, "description": step.about}
+    entry: dict[str, Any] = {"name": step.name, "description": step.description}
     if step.needs:
-        found["dependencies"] = [{"dependsOn": name} for name in step.needs]
+        entry["dependencies"] = [{"dependsOn": name} for name in step.needs]
     if step.chunks:
         tasks = {"name": CHUNK, "type": "STRING", "range": list(step.chunks)}
-        found["parameterSpace"] = {"taskParameterDefinitions": [tasks]}
-    return found | {"script": {"actions": {"onRun": action}}}
+        entry["parameterSpace"] = {"taskParameterDefinitions": [tasks]}
+    return entry | {"script": {"actions": {"onRun": action}}}
 
 
 class _Named(dict[str, str]):

@@ -17,16 +17,16 @@ class Place:
     name: str
     path: Path
     flow: Literal["IN", "OUT", "INOUT"]
-    about: str
+    description: str
 
 
 @dataclass(frozen=True, slots=True)
 class Arg:
-    """A word of a command: `before`, then the path of a place, then `after`."""
+    """A word of a command: `prefix`, then the path of a place, then `suffix`."""
 
-    before: str
+    prefix: str
     place: Place
-    after: str = ""
+    suffix: str = ""
 
 
 Word = str | Arg
@@ -38,7 +38,7 @@ class Step:
     first."""
 
     name: str
-    about: str
+    description: str
     command: tuple[Word, ...]
     needs: tuple[str, ...] = ()
     chunks: tuple[str, ...] = ()
@@ -50,7 +50,7 @@ class Job:
     """All steps of a shot, in a valid execution order."""
 
     name: str
-    places: tuple[Place, ...]
+    paths: tuple[Place, ...]
     steps: tuple[Step, ...]
 
 
@@ -125,6 +125,6 @@ def chunks(first: int, last: int, every: int, count: int) -> tuple[str, ...]:
 def words(command: Sequence[Word], frames: str, paths: Mapping[str, str]) -> list[str]:
     """Return a command as text, with a task's `frames` and the `paths` of places inserted."""
     return [
-        f"{word.before}{paths[word.place.name]}{word.after}" if isinstance(word, Arg) else frames if word == CHUNKED else word
+        f"{word.prefix}{paths[word.place.name]}{word.suffix}" if isinstance(word, Arg) else frames if word == CHUNKED else word
         for word in command
     ]

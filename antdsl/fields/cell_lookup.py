@@ -20,7 +20,7 @@ def _along(place: F64, cell: F64, low: I64, size: I64) -> I64:
 
 
 @inlined
-def _found(direct: Array1[I32], listed: BOOL, keys: Array1[I64], shift: I64, start: Array1[I32], key: I64) -> I64:
+def _find_cell(direct: Array1[I32], listed: BOOL, keys: Array1[I64], shift: I64, start: Array1[I32], key: I64) -> I64:
     """The cell of a key, -1 for none."""
     if listed:
         return np.int64(direct[key])
@@ -48,18 +48,19 @@ def located(
     side: Array1[I8],
     index: CellIndex,
     known: Array1[I64],
-    here: Array1[I32],
-    found: Array1[I32],
+    known_cells: Array1[I32],
+    cells: Array1[I32],
     begin: I64,
     end: I64,
 ) -> I64:
-    """Write the cell of the voxel and side of points `begin` to `end` (exclusive) into `found` [n]; return how many have none,
+    """Write the cell of the voxel and side of points `begin` to `end` (exclusive) into `cells` [n]; return how many have none,
     which get -1.
 
-    `points`: x, y, z [n] mm. `known` and `here` [n]: previous keys, -1 outside the box, and previous cells; both are updated."""
+    `points`: x, y, z [n] mm. `known` and `known_cells` [n]: previous keys, -1 outside the box, and previous cells; both are
+    updated."""
     cell, box, size, direct, keys, shift, start = index
     listed = direct.size > 0
-    wanted, moved, others = scratch(_TOGETHER, I64), scratch(_TOGETHER, I64), scratch(_TOGETHER, I64)
+    point_keys, moved, others = scratch(_TOGETHER, I64), scratch(_TOGETHER, I64), scratch(_TOGETHER, I64)
     missed = 0
     for low in range(begin, end, _TOGETHER):
         high = min(low + _TOGETHER, end)
@@ -70,27 +71,27 @@ def located(
             key = -1
             if x >= 0 and y >= 0 and z >= 0:
                 key = ((x * size[1] + y) * size[2] + z) * 6 + side[n]
-            wanted[n - low] = key
-            moved[n - low] = 1 if key != known[n] or here[n] < 0 else 0
+            point_keys[n - low] = key
+            moved[n - low] = 1 if key != known[n] or known_cells[n] < 0 else 0
         count = 0
         for n in range(low, high):
             others[count] = n
             count += moved[n - low]
         for k in range(count):
-            key = max(wanted[others[k] - low], 0)
+            key = max(point_keys[others[k] - low], 0)
             if listed:
                 fetch_ahead(direct, key)
             else:
                 fetch_ahead(start, key >> shift)
         if not listed:
             for k in range(count):
-                fetch_ahead(keys, start[max(wanted[others[k] - low], 0) >> shift])
+                fetch_ahead(keys, start[max(point_keys[others[k] - low], 0) >> shift])
         for k in range(count):
             n = others[k]
-            key = wanted[n - low]
+            key = point_keys[n - low]
             known[n] = key
-            here[n] = _found(direct, listed, keys, shift, start, key) if key >= 0 else -1
-            missed += 1 if here[n] < 0 else 0
+            known_cells[n] = _find_cell(direct, listed, keys, shift, start, key) if key >= 0 else -1
+            missed += 1 if known_cells[n] < 0 else 0
         for n in independent(low, high):
-            found[n] = here[n]
+            cells[n] = known_cells[n]
     return missed

@@ -78,12 +78,12 @@ class SurfaceCells:
         self._size = np.floor(scaled.max(axis=(0, 1))).astype(np.int64) - self._low + 1 if len(corners) else np.ones(3, np.int64)
         normal = across / np.maximum(area, 1e-300)[:, None]
         work = partial(self._gather, corners, scaled, normal, cap)
-        found = stored_tables.stored("surface cells", len(corners), (corners, self.cell), work)
-        if len(found["keys"]) > cap:
-            raise FieldTooFine(len(found["keys"]), cap)
-        self._keys: NDArray[np.int64] = found["keys"]
-        self.position: Floats = found["position"]
-        self.normal: Floats = found["normal"]
+        tables = stored_tables.stored("surface cells", len(corners), (corners, self.cell), work)
+        if len(tables["keys"]) > cap:
+            raise FieldTooFine(len(tables["keys"]), cap)
+        self._keys: NDArray[np.int64] = tables["keys"]
+        self.position: Floats = tables["position"]
+        self.normal: Floats = tables["normal"]
         self._voxels = self._keys // 6
         self._start_table = self._starts()
         self._tables: dict[int, Cells] = {}
@@ -160,7 +160,7 @@ class SurfaceCells:
         return self.follow(points, side, None)[0]
 
     def follow(
-        self, points: Floats, side: NDArray[np.int8], before: Known | None, out: Cells | None = None, threads: int = 1
+        self, points: Floats, side: NDArray[np.int8], previous_cells: Known | None, out: Cells | None = None, threads: int = 1
     ) -> tuple[Cells, Known | None]:
         """As `lookup_sides`, with the results for the same number of points before: only points in another voxel or on another
         side are looked up. `out`: int32[n] for the result. Also returns the state for the next call; None if keys are
@@ -172,7 +172,7 @@ class SurfaceCells:
             return cell, None
         known = None
         if self._numbered:
-            missing, known = self._located(points, side, before, cell, threads)
+            missing, known = self._located(points, side, previous_cells, cell, threads)
         else:
             missing = self._searched(points, side, cell)
         if missing:
@@ -184,11 +184,11 @@ class SurfaceCells:
         return cell, known
 
     def _located(
-        self, points: Floats, side: NDArray[np.int8], before: Known | None, cell: Cells, threads: int
+        self, points: Floats, side: NDArray[np.int8], previous_cells: Known | None, cell: Cells, threads: int
     ) -> tuple[int, Known]:
         """Write the cell of each point's voxel and side, -1 for none; return how many have none, and the state for the next
         call."""
-        known = before
+        known = previous_cells
         if known is None or known.of is not self or len(known.key) != len(points):
             known = Known(self, np.full(len(points), -1), np.full(len(points), -1, np.int32))
         index, direct = (self._index, NO_CELLS) if self._direct is None else (NO_INDEX, self._direct)
@@ -202,8 +202,8 @@ class SurfaceCells:
         key = np.empty(len(points), np.int64)
         within = np.empty(len(points), np.bool_)
         for a in range(0, len(points), _CHUNK):
-            some = slice(a, a + _CHUNK)
-            self._keys_at(points[some], side[some], key[some], within[some])
+            rows = slice(a, a + _CHUNK)
+            self._keys_at(points[rows], side[rows], key[rows], within[rows])
         cell[:] = self._find(key, within)
         return int(np.count_nonzero(cell < 0))
 
@@ -218,13 +218,13 @@ class SurfaceCells:
             step = np.floor(points[:, axis] / self.cell + 0.5)
             step -= self._low[axis]
             inside = (step >= 0) & (step < self._size[axis])  # not so for what is no number
-            whole = np.where(inside, step, 0.0).astype(np.int64)
+            integer_steps = np.where(inside, step, 0.0).astype(np.int64)
             if axis:
                 key *= self._size[axis]
-                key += whole
+                key += integer_steps
                 within &= inside
             else:
-                key[:], within[:] = whole, inside
+                key[:], within[:] = integer_steps, inside
         key *= 6
         key += side
 
@@ -235,10 +235,10 @@ class SurfaceCells:
         cell = np.full(len(key), -1, np.int32)
         for a in range(0, len(key), _CHUNK):
             rows = a + np.flatnonzero(within[a : a + _CHUNK])
-            some = key[rows]
-            at = self._index.place(self._keys, some)
-            here = np.flatnonzero(self._keys.take(np.minimum(at, len(self) - 1)) == some)
-            cell[rows[here]] = at[here]
+            row_keys = key[rows]
+            at = self._index.place(self._keys, row_keys)
+            matches = np.flatnonzero(self._keys.take(np.minimum(at, len(self) - 1)) == row_keys)
+            cell[rows[matches]] = at[matches]
         return cell
 
     @cached_property
@@ -261,9 +261,9 @@ class SurfaceCells:
     def _nearby(self, points: Floats, voxel: NDArray[np.int64], side: NDArray[np.int64]) -> NDArray[np.int64]:
         best, distance = np.full(len(points), -1, np.int64), np.full(len(points), np.inf)
         for offset in BLOCK:
-            for at, there in self._cells_in(voxel + np.array(offset)):
+            for at, has_cell in self._cells_in(voxel + np.array(offset)):
                 gap = ((self.position[at] - points) ** 2).sum(axis=1)
-                closer = there & compatible(self.side_of(at), side) & (gap < distance)
+                closer = has_cell & compatible(self.side_of(at), side) & (gap < distance)
                 best, distance = np.where(closer, at, best), np.where(closer, gap, distance)
         return best
 
@@ -279,17 +279,17 @@ class SurfaceCells:
         for dx, dy in product((-1, 0, 1), repeat=2):
             if (far := column(dx, dy)) < 0:
                 continue
-            there = (x + dx >= 0) & (x + dx < self._size[0]) & (y + dy >= 0) & (y + dy < self._size[1])
-            base = np.where(there, ((x + dx) * self._size[1] + (y + dy)) * self._size[2], 0)
+            is_inside = (x + dx >= 0) & (x + dx < self._size[0]) & (y + dy >= 0) & (y + dy < self._size[1])
+            base = np.where(is_inside, ((x + dx) * self._size[1] + (y + dy)) * self._size[2], 0)
             first = self._first_in(base + np.maximum(z - far, 0))
             last = self._first_in(base + np.minimum(z + far, self._size[2] - 1) + 1)
             firsts.append(first)
-            counts.append(np.where(there, last - first, 0))
+            counts.append(np.where(is_inside, last - first, 0))
         first, count = np.stack(firsts, axis=1).ravel(), np.stack(counts, axis=1)
         own, flat = np.repeat(np.arange(len(cells)), count.sum(axis=1)), count.ravel()
         other = np.arange(own.size) + np.repeat(first - (np.cumsum(flat) - flat), flat)
-        kept = np.flatnonzero(compatible(self.side_of(other), self.side_of(cells).take(own)))
-        return own.take(kept), other.take(kept)
+        compatible_pairs = np.flatnonzero(compatible(self.side_of(other), self.side_of(cells).take(own)))
+        return own.take(compatible_pairs), other.take(compatible_pairs)
 
     def _first_in(self, voxel: NDArray[np.int64]) -> NDArray[np.int64]:
         """Return the number of cells in voxels before these, by voxel number in the box."""
@@ -314,21 +314,21 @@ class SurfaceCells:
         for a in range(0, len(self), _CHUNK):
             chosen = np.arange(a, min(a + _CHUNK, len(self)))
             own, other = self._around(chosen, lambda x, y: min(steps - abs(x) - abs(y), 1))
-            apart = self._steps(chosen.take(own), other) == 2 if steps == 2 else other != own + a
-            others = np.flatnonzero(apart)
+            is_neighbour = self._steps(chosen.take(own), other) == 2 if steps == 2 else other != own + a
+            others = np.flatnonzero(is_neighbour)
             counts.append(np.bincount(own.take(others), minlength=len(chosen)))
             cells.append(other.take(others).astype(np.int32))
         return Links(np.cumsum(np.concatenate(counts)), np.concatenate(cells))
 
     def _steps(self, one: NDArray[np.int64], two: NDArray[np.int64]) -> NDArray[np.int64]:
         """Return the number of voxels between cells, summed over all axes."""
-        found = np.zeros(len(one), np.int64)
-        there = [self._voxels.take(cells) for cells in (one, two)]
+        steps = np.zeros(len(one), np.int64)
+        voxels = [self._voxels.take(cells) for cells in (one, two)]
         for size in (self._size[2], self._size[1]):
-            found += np.abs(there[0] % size - there[1] % size)
-            there = [each // size for each in there]
-        found += np.abs(there[0] - there[1])
-        return found
+            steps += np.abs(voxels[0] % size - voxels[1] % size)
+            voxels = [each // size for each in voxels]
+        steps += np.abs(voxels[0] - voxels[1])
+        return steps
 
     @property
     def block(self) -> Cells:
@@ -356,17 +356,17 @@ class SurfaceCells:
             count = np.bincount(own, minlength=len(chosen))
             crowded = np.flatnonzero(count > k)
             if crowded.size:  # most have no more than so many around
-                asked = np.flatnonzero((count > k).take(own))
-                one, two = own.take(asked), other.take(asked)
-                place, there = self.position.take(chosen.take(one), axis=0), self.position.take(two, axis=0)
-                gap = np.zeros(len(asked))
+                crowded_pairs = np.flatnonzero((count > k).take(own))
+                one, two = own.take(crowded_pairs), other.take(crowded_pairs)
+                place, other_place = self.position.take(chosen.take(one), axis=0), self.position.take(two, axis=0)
+                gap = np.zeros(len(crowded_pairs))
                 for axis in range(3):
-                    gap += (there[:, axis] - place[:, axis]) ** 2
+                    gap += (other_place[:, axis] - place[:, axis]) ** 2
                 order = np.lexsort((two, gap, one))
-                left = asked[order[rank(count[crowded]) >= k]]
-                kept = np.ones(len(own), np.bool_)
-                kept[left] = False
-                own, other = own[kept], other[kept]
+                left = crowded_pairs[order[rank(count[crowded]) >= k]]
+                is_nearest = np.ones(len(own), np.bool_)
+                is_nearest[left] = False
+                own, other = own[is_nearest], other[is_nearest]
                 count = np.minimum(count, k)
             table[a + own, rank(count)] = other
         return table

@@ -69,9 +69,9 @@ class Lattice:
         i = np.clip(u.astype(np.int64), 0, n - 1 - j)
         u, v = u - i, v - j
         upper = (u + v > 1) & (i + j < n - 1)  # the like triangle that stands on its head
-        here = start + j * (n + 1) - j * (j - 1) // 2 + i
-        above = here + n + 1 - j
-        slots = np.stack([np.where(upper, above + 1, here), here + 1, above])
+        slot = start + j * (n + 1) - j * (j - 1) // 2 + i
+        above = slot + n + 1 - j
+        slots = np.stack([np.where(upper, above + 1, slot), slot + 1, above])
         weights = np.stack([np.where(upper, u + v - 1, 1 - u - v), np.where(upper, 1 - v, u), np.where(upper, 1 - u, v)])
         return slots, weights
 
@@ -104,26 +104,26 @@ class Lattice:
 
     def _groups(self) -> list[tuple[int, Index, Index, Index]]:
         """Return, for each number of cuts n, the faces with it, and the column i and row j of each of their slots."""
-        found = []
+        groups = []
         for n in np.unique(self.cuts).tolist():
             j = np.repeat(np.arange(n + 1), np.arange(n + 1, 0, -1))
             i = np.arange(len(j)) - np.repeat(np.cumsum([0, *range(n + 1, 1, -1)]), np.arange(n + 1, 0, -1))
-            found.append((n, np.flatnonzero(self.cuts == n), i, j))
-        return found
+            groups.append((n, np.flatnonzero(self.cuts == n), i, j))
+        return groups
 
 
-def welded(places: Floats, owner: NDArray[np.integer]) -> tuple[Index, int]:
+def welded(positions: Floats, owner: NDArray[np.integer]) -> tuple[Index, int]:
     """Return a number for each position (n, 3), equal for equal positions of one owner, and the count of numbers."""
-    if not len(places):
+    if not len(positions):
         return np.empty(0, np.int64), 0
-    low = places.min(axis=0)
-    grain = max(float((places.max(axis=0) - low).max()) * _WELD, 1e-300)
+    low = positions.min(axis=0)
+    grain = max(float((positions.max(axis=0) - low).max()) * _WELD, 1e-300)
     # half a grain and a bit off: round coordinates lie nowhere near the edge of a grain
-    keys = np.floor((places - low) / grain + 0.318).astype(np.int64)
+    keys = np.floor((positions - low) / grain + 0.318).astype(np.int64)
     order = np.lexsort((keys[:, 2], keys[:, 1], keys[:, 0], owner))
     rows = np.column_stack([owner, keys])[order]
     fresh = np.concatenate(([0], np.cumsum((rows[1:] != rows[:-1]).any(axis=1))))
-    point = np.empty(len(places), np.int64)
+    point = np.empty(len(positions), np.int64)
     point[order] = fresh
     return point, int(fresh[-1]) + 1
 
@@ -137,7 +137,7 @@ def cell_of(flow: SpreadFlow | BorderFlow | SolvedFlow, extent: float) -> float:
     if isinstance(flow, SpreadFlow):
         return extent / _ACROSS if flow.radius is None else flow.radius / _PIECES
     across = extent / (_ACROSS_CROWD if flow.crowding else _ACROSS)
-    return min(across, flow.room / 2) if flow.room else across
+    return min(across, flow.clearance / 2) if flow.clearance else across
 
 
 def flow_cuts(flow: SpreadFlow | BorderFlow | SolvedFlow, longest: Floats, extent: float) -> Index:

@@ -75,22 +75,22 @@ class Flow:
     def at(self, meshes: Meshes | None, footing: Footing, place: Floats, up: Floats) -> Singles:
         """Return vectors at the agents' positions, as float32 x, y, z. `meshes` is the ground's part with faces, or None; `place`
         and `up` (n, 3) are for agents on no face."""
-        found, known = np.zeros((3, len(place))), np.zeros(len(place), bool)
+        vectors, known = np.zeros((3, len(place))), np.zeros(len(place), bool)
         if meshes is not None:
             face, known = meshes.on_faces(footing)
-            found = meshes.laid_out(face, *self.along_face(face, footing.b1, footing.b2))
+            vectors = meshes.laid_out(face, *self.along_face(face, footing.b1, footing.b2))
         if not known.all():
-            found[:, ~known] = 0.0
+            vectors[:, ~known] = 0.0
             if self.source is not None:
-                found[:, ~known] = laid_by_up(self.source(place[~known]), up[~known]).T
-        return tuple(np.ascontiguousarray(part, np.float32) for part in found)  # type: ignore[return-value]
+                vectors[:, ~known] = laid_by_up(self.source(place[~known]), up[~known]).T
+        return tuple(np.ascontiguousarray(part, np.float32) for part in vectors)  # type: ignore[return-value]
 
     def reaches(self, meshes: Meshes | None, footing: Footing, place: Floats, up: Floats) -> NDArray[np.bool_]:
         """Return whether the flow leads agents on from their positions, bool[n]: whether it is non-zero there. Arguments as of
         `at`."""
         x, y, z = self.at(meshes, footing, place, up)
-        found: NDArray[np.bool_] = (x != 0) | (y != 0) | (z != 0)
-        return found
+        is_flowing: NDArray[np.bool_] = (x != 0) | (y != 0) | (z != 0)
+        return is_flowing
 
     def show(self, arrays: dict[str, NDArray[Any]]) -> None:
         """Make `state` return these arrays without applying them: for a copy that is only displayed."""
@@ -124,32 +124,32 @@ class Map:
 # --- about a curve or places -----------------------------------------------------------------------------------------
 
 
-def nearest(target: Target, places: Floats) -> tuple[Floats, Floats, Floats]:
+def nearest(target: Target, positions: Floats) -> tuple[Floats, Floats, Floats]:
     """Return distance (n,), nearest position (n, 3) and unit tangent (n, 3; zero for single points) of a target."""
     if target.line:
-        found = Curve(target.places, _CURVE_PIECE).closest(*places.T)
-        columns = (found.px, found.py, found.pz, found.tx, found.ty, found.tz)
+        closest = Curve(target.positions, _CURVE_PIECE).closest(*positions.T)
+        columns = (closest.px, closest.py, closest.pz, closest.tx, closest.ty, closest.tz)
         px, py, pz, tx, ty, tz = (part.astype(np.float64) for part in columns)
-        return found.distance.astype(np.float64), np.stack([px, py, pz], axis=1), np.stack([tx, ty, tz], axis=1)
+        return closest.distance.astype(np.float64), np.stack([px, py, pz], axis=1), np.stack([tx, ty, tz], axis=1)
     from scipy.spatial import cKDTree
 
-    distance, which = cKDTree(target.places).query(places)
-    return distance, target.places[which], np.zeros_like(places)
+    distance, which = cKDTree(target.positions).query(positions)
+    return distance, target.positions[which], np.zeros_like(positions)
 
 
 def spread(flow: SpreadFlow, target: Target) -> Source:
     """Return the vectors of a flow around a target, which is already in the world's axes and origin."""
 
-    def vectors(places: Floats) -> Floats:
-        distance, point, along = nearest(target, places)
-        way = along
+    def vectors(positions: Floats) -> Floats:
+        distance, point, along = nearest(target, positions)
+        direction = along
         if flow.gather and flow.radius is not None:
-            way = along + (point - places) * (flow.gather / flow.radius)
-            way /= np.maximum(np.sqrt((way * way).sum(axis=1)), 1e-12)[:, None]
-        if flow.way != "tangent":
-            away = places - point
+            direction = along + (point - positions) * (flow.gather / flow.radius)
+            direction /= np.maximum(np.sqrt((direction * direction).sum(axis=1)), 1e-12)[:, None]
+        if flow.direction != "tangent":
+            away = positions - point
             away /= np.where(distance > 1e-9, distance, 1.0)[:, None]
-            way = away if flow.way == "away" else -away
-        return way * (falling(distance, flow.radius, flow.falloff) * flow.strength)[:, None]
+            direction = away if flow.direction == "away" else -away
+        return direction * (falling(distance, flow.radius, flow.falloff) * flow.strength)[:, None]
 
     return vectors

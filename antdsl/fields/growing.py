@@ -14,7 +14,7 @@ from antdsl.fields.numbered import summed
 from antdsl.ground.mesh.topology import facing
 from antdsl.machine_code.kernels import F64, I32, I64, Array1, Array2, inlined, kernel, scratch
 
-_ROOM = 8  # cells are added in rooms of this share of what is there, so that most steps move nothing
+_GROWTH_DIVISOR = 8  # cells are added in rooms of this share of what is there, so that most steps move nothing
 _LEAST_ROOM = 1024
 _NO_KEY = -1
 _NOWHERE = -(1 << 60)  # number of a voxel that no other lies beside
@@ -50,7 +50,7 @@ class GrowingCells(SurfaceCells):
         normal = sums[:, 3:6] / np.maximum(np.sqrt((sums[:, 3:6] ** 2).sum(axis=1)), 1e-300)[:, None]
         return self.add(keys, np.concatenate([sums[:, :3] / sums[:, 6:], normal], axis=1))
 
-    def add(self, keys: NDArray[np.int64], places: Floats) -> NDArray[np.int64]:
+    def add(self, keys: NDArray[np.int64], positions: Floats) -> NDArray[np.int64]:
         """Add cells with these keys, which must be new, and places [n,6]: position and normal. Return their numbers."""
         count = min(len(keys), max(self._cap - self.used, 0))
         if not count:
@@ -58,7 +58,7 @@ class GrowingCells(SurfaceCells):
         self._make_room(self.used + count)
         new = np.arange(self.used, self.used + count)
         self.used += count
-        self._keys[new], self.position[new], self.normal[new] = keys[:count], places[:count, :3], places[:count, 3:]
+        self._keys[new], self.position[new], self.normal[new] = keys[:count], positions[:count, :3], positions[:count, 3:]
         self._voxels[new] = self._keys[new] // 6
         if self._direct is not None:
             self._direct[self._keys[new]] = new
@@ -85,14 +85,14 @@ class GrowingCells(SurfaceCells):
     def _make_room(self, needed: int) -> None:
         if needed <= len(self):
             return
-        before = len(self)
-        more = max(needed - before, before // _ROOM, _LEAST_ROOM)
-        self._keys = np.concatenate([self._keys, np.full(more, _NO_KEY)])
-        self._voxels = np.concatenate([self._voxels, np.full(more, _NOWHERE)])
-        self.position, self.normal = (np.concatenate([v, np.zeros((more, 3))]) for v in (self.position, self.normal))
+        old_count = len(self)
+        added_count = max(needed - old_count, old_count // _GROWTH_DIVISOR, _LEAST_ROOM)
+        self._keys = np.concatenate([self._keys, np.full(added_count, _NO_KEY)])
+        self._voxels = np.concatenate([self._voxels, np.full(added_count, _NOWHERE)])
+        self.position, self.normal = (np.concatenate([v, np.zeros((added_count, 3))]) for v in (self.position, self.normal))
         for k, table in self._tables.items():
-            grown = np.full((before + more, k), before + more, np.int32)
-            grown[:before] = np.where(table == before, before + more, table)
+            grown = np.full((old_count + added_count, k), old_count + added_count, np.int32)
+            grown[:old_count] = np.where(table == old_count, old_count + added_count, table)
             self._tables[k] = grown
 
     @property
@@ -113,15 +113,18 @@ class GrowingCells(SurfaceCells):
         at = self._voxels[cells]
         voxel = np.stack([at // (self._size[1] * self._size[2]), at // self._size[2] % self._size[1], at % self._size[2]])
         block = [offset for offset in BLOCK if abs(offset[2]) <= column(*offset[:2])]
-        there = voxel[:, None, :] + np.array(block).T[:, :, None]
-        inbound: NDArray[np.bool_] = (there >= 0) & (there < self._size[:, None, None])
+        neighbour_voxels = voxel[:, None, :] + np.array(block).T[:, :, None]
+        inbound: NDArray[np.bool_] = (neighbour_voxels >= 0) & (neighbour_voxels < self._size[:, None, None])
         within: NDArray[np.bool_] = np.logical_and.reduce(inbound, axis=0)
-        key = np.where(within, (there[0] * self._size[1] + there[1]) * self._size[2] + there[2], 0) * 6
+        key = (
+            np.where(within, (neighbour_voxels[0] * self._size[1] + neighbour_voxels[1]) * self._size[2] + neighbour_voxels[2], 0)
+            * 6
+        )
         keys = key[:, None, :] + np.arange(6)[None, :, None]
         inside = np.repeat(within[:, None, :], 6, axis=1)
-        found = self._find(keys.ravel(), inside.ravel()).reshape(-1, len(cells))
-        near = compatible(self.side_of(np.maximum(found, 0)), self.side_of(cells))
-        other = np.sort(np.where(near, found, -1).astype(np.int64), axis=0).T
+        near_cells = self._find(keys.ravel(), inside.ravel()).reshape(-1, len(cells))
+        near = compatible(self.side_of(np.maximum(near_cells, 0)), self.side_of(cells))
+        other = np.sort(np.where(near, near_cells, -1).astype(np.int64), axis=0).T
         own, which = np.nonzero(other >= 0)
         return own, other[own, which]
 
@@ -146,7 +149,7 @@ def nearest(
     table: Array2[I32],
 ) -> None:  # fmt: skip
     """Fill the rows `cells` of `table` with the nearest `k` cells of their 3³ block, ascending; `none` where there are fewer."""
-    gaps, found = scratch(_MOST, F64), scratch(_MOST, I64)
+    gaps, candidates = scratch(_MOST, F64), scratch(_MOST, I64)
     voxels, keys = numbers
     across = size[1] * size[2]
     for own in cells:
@@ -162,21 +165,21 @@ def nearest(
                             continue
                         gap = _square(position, at, position[own, 0], position[own, 1], position[own, 2])
                         place = count
-                        while place > 0 and (gaps[place - 1] > gap or (gaps[place - 1] == gap and found[place - 1] > at)):
-                            gaps[place], found[place] = gaps[place - 1], found[place - 1]
+                        while place > 0 and (gaps[place - 1] > gap or (gaps[place - 1] == gap and candidates[place - 1] > at)):
+                            gaps[place], candidates[place] = gaps[place - 1], candidates[place - 1]
                             place -= 1
-                        gaps[place], found[place] = gap, at
+                        gaps[place], candidates[place] = gap, at
                         count += 1
         count = min(count, k)
         for n in range(1, count):
-            at = found[n]
+            at = candidates[n]
             place = n
-            while place > 0 and found[place - 1] > at:
-                found[place] = found[place - 1]
+            while place > 0 and candidates[place - 1] > at:
+                candidates[place] = candidates[place - 1]
                 place -= 1
-            found[place] = at
+            candidates[place] = at
         for n in range(k):
-            table[own, n] = found[n] if n < count else none
+            table[own, n] = candidates[n] if n < count else none
 
 
 @kernel

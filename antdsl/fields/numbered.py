@@ -29,14 +29,14 @@ class Index:
         np.cumsum(np.bincount(numbers >> shift, minlength=len(start) - 1), out=start[1:])
         return Index(shift, start, int(np.diff(start).max(initial=0)).bit_length())
 
-    def place(self, numbers: NDArray[np.int64], asked: NDArray[np.int64]) -> NDArray[np.int64]:
+    def place(self, numbers: NDArray[np.int64], targets: NDArray[np.int64]) -> NDArray[np.int64]:
         """Return for each queried number how many of the numbers are less. Queries are from 0 to before the end."""
-        block = asked >> self.shift
+        block = targets >> self.shift
         low, high = self.start.take(block).astype(np.int64), self.start.take(block + 1).astype(np.int64)
         for _ in range(self.halvings):
             middle = (low + high) >> 1
-            less = (numbers.take(np.minimum(middle, len(numbers) - 1)) < asked) & (low < high)
-            low, high = np.where(less, middle + 1, low), np.where(less, high, middle)
+            is_less = (numbers.take(np.minimum(middle, len(numbers) - 1)) < targets) & (low < high)
+            low, high = np.where(is_less, middle + 1, low), np.where(is_less, high, middle)
         return low
 
 
@@ -46,8 +46,8 @@ NO_CELLS = np.empty(0, np.int32)
 
 def rank(counts: NDArray[np.int64]) -> NDArray[np.int64]:
     """Return 0, 1, … within each of consecutive groups with these counts."""
-    found: NDArray[np.int64] = np.arange(int(counts.sum())) - np.repeat(np.cumsum(counts) - counts, counts)
-    return found
+    ranks: NDArray[np.int64] = np.arange(int(counts.sum())) - np.repeat(np.cumsum(counts) - counts, counts)
+    return ranks
 
 
 def summed(keys: NDArray[np.int64], parts: Floats) -> tuple[NDArray[np.int64], Floats]:

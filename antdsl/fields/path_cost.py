@@ -28,7 +28,7 @@ class Land:
     links: Index
 
 
-def ways(land: Land, cost: Floats, start: Index, first: Floats) -> Floats:
+def path_costs(land: Land, cost: Floats, start: Index, first: Floats) -> Floats:
     """Return the least cost of a path from each point to the goal, inf where there is none.
 
     `cost` (t,): the cost of a mm within each triangle. `start`: the points at the goal; `first`: the remaining cost from there.
@@ -39,11 +39,11 @@ def ways(land: Land, cost: Floats, start: Index, first: Floats) -> Floats:
     halves = _halves(land, cost)
     enough = _ENOUGH * float(np.median(halves.length)) if len(halves.length) else 0.0
     for _ in range(_PASSES):
-        before = bound.copy()
+        previous_bound = bound.copy()
         _straighten(bound, halves)
         _over_links(land, cost, bound)
         reached = np.isfinite(bound)
-        if (before[reached] - bound[reached]).max(initial=0.0) <= enough:
+        if (previous_bound[reached] - bound[reached]).max(initial=0.0) <= enough:
             break
     return bound
 
@@ -61,9 +61,9 @@ def directions(land: Land, bound: Floats) -> Floats:
     for k in range(3):
         edge = corners[:, (k + 2) % 3] - corners[:, (k + 1) % 3]
         uphill += (values[:, k] - values[:, 0])[:, None] * np.cross(normal, edge)
-    way = -_unit(uphill) * twice[:, None]
+    downhill = -_unit(uphill) * twice[:, None]
     total = np.stack(
-        [sum(np.bincount(triangles[:, k], way[:, axis], len(land.points)) for k in range(3)) for axis in range(3)], axis=1
+        [sum(np.bincount(triangles[:, k], downhill[:, axis], len(land.points)) for k in range(3)) for axis in range(3)], axis=1
     )
     return _unit(total)
 

@@ -80,10 +80,10 @@ class PheromoneField:
     def grow(self, new: NDArray[np.int64]) -> None:
         """Make room for cells that were added."""
         self.version += 1
-        more = len(self.cells) - len(self.values)
-        if more:
-            self._padded = np.concatenate([self.values, np.zeros(more + 1)])
-            self._pending = np.concatenate([self._pending, np.zeros(more, np.int64)])
+        added_count = len(self.cells) - len(self.values)
+        if added_count:
+            self._padded = np.concatenate([self.values, np.zeros(added_count + 1)])
+            self._pending = np.concatenate([self._pending, np.zeros(added_count, np.int64)])
             for name in ("_places", "_seen"):
                 self.__dict__.pop(name, None)
         elif "_places" in self.__dict__:
@@ -96,11 +96,11 @@ class PheromoneField:
         """The cells added since the start, for `grow_again`; empty if cells cannot be added."""
         return self.cells.added if isinstance(self.cells, GrowingCells) else {}
 
-    def grow_again(self, keys: NDArray[np.int64], places: NDArray[np.float64]) -> None:
+    def grow_again(self, keys: NDArray[np.int64], positions: NDArray[np.float64]) -> None:
         """Add the cells that `added` reported, where they are missing; other fields may share them."""
         assert isinstance(self.cells, GrowingCells)
         known = self.cells.used - self.cells.at_start
-        self.cells.add(keys[known:], places[known:])
+        self.cells.add(keys[known:], positions[known:])
         self.grow(np.arange(self.cells.at_start, self.cells.used))
 
     def deposit(self, cells: Cells, amounts: Floats) -> int:
@@ -112,8 +112,8 @@ class PheromoneField:
         wrong = int(np.count_nonzero(~good | (np.abs(amounts) > LARGEST_DEPOSIT)))
         laid = np.flatnonzero(good & (cells >= 0) & (amounts != 0))
         if laid.size:
-            whole = np.rint(np.clip(amounts[laid], -LARGEST_DEPOSIT, LARGEST_DEPOSIT) / UNIT).astype(np.int64)
-            (np.add if self.combine == "add" else np.maximum).at(self._pending, cells[laid], whole)
+            unit_counts = np.rint(np.clip(amounts[laid], -LARGEST_DEPOSIT, LARGEST_DEPOSIT) / UNIT).astype(np.int64)
+            (np.add if self.combine == "add" else np.maximum).at(self._pending, cells[laid], unit_counts)
             self._touched = True
         return wrong
 
@@ -203,8 +203,8 @@ class PheromoneField:
         if not len(self.cells):
             nothing = np.zeros(own.size, np.float32)
             return nothing, nothing.copy(), nothing.copy()
-        places = self._places
-        here, normal = places.take(own, axis=1), np.ascontiguousarray(self.cells.normal.take(own, axis=0).T)
+        positions = self._places
+        own_positions, normal = positions.take(own, axis=1), np.ascontiguousarray(self.cells.normal.take(own, axis=0).T)
         held = self._padded.take(own)
         moments = np.zeros((6, own.size))
         slope = np.zeros((3, own.size))
@@ -212,7 +212,7 @@ class PheromoneField:
             real = column < len(self.cells)
             # A cell that is not there counts as the own one, which adds nothing.
             column = np.where(real, column, own)
-            d = places.take(column, axis=1) - here
+            d = positions.take(column, axis=1) - own_positions
             rise = self._padded.take(column) - held
             for m, (a, b) in enumerate(_SYMMETRIC):
                 moments[m] += d[a] * d[b]
@@ -229,9 +229,9 @@ class PheromoneField:
     @cached_property
     def _seen(self) -> NDArray[np.float32]:
         """Positions as agents sense them: `_places` in float32, with each cell contiguous."""
-        seen = np.zeros((len(self.cells) + 1, 4), np.float32)
-        seen[:, :3] = self._places.T
-        return seen
+        single_positions = np.zeros((len(self.cells) + 1, 4), np.float32)
+        single_positions[:, :3] = self._places.T
+        return single_positions
 
     @cached_property
     def _places(self) -> NDArray[np.float64]:

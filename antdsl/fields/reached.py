@@ -71,7 +71,7 @@ def renew(changed: Array1[I64], start: Array1[I64], cell: Array1[I32], holds: Ar
     on in `cell`."""
     for n in range(changed.size):
         a = changed[n]
-        more = -1 if holds[a] else 1
+        change = -1 if holds[a] else 1
         holds[a] = not holds[a]
         for k in range(start[a], start[a + 1]):
-            count[cell[k]] += more
+            count[cell[k]] += change

@@ -64,10 +64,10 @@ class Solved(Flow):
         g = self.grounds
         assert g is not None and self.cost is not None and self.start is not None and self.first is not None
         price = self.cost if self.crowd is None else self.cost + self.crowding * self._shares(self.crowd)
-        bound = cost.ways(g.land, price, self.start, self.first)
+        bound = cost.path_costs(g.land, price, self.start, self.first)
         self.reached = np.isfinite(bound)
-        way = cost.directions(g.land, bound) * self.strength
-        self.c, self.s = laid(way[g.point], g.axis1, g.axis2)
+        vectors = cost.directions(g.land, bound) * self.strength
+        self.c, self.s = laid(vectors[g.point], g.axis1, g.axis2)
         self.c *= g.faces[g.lattice.faces()]
         self.s *= g.faces[g.lattice.faces()]
 
@@ -90,12 +90,12 @@ class Solved(Flow):
         """Return the share of each triangle that agents cover, smoothed slightly beyond them."""
         g = self.grounds
         assert g is not None
-        room = self._spread(np.repeat(g.areas / 3, 3))
-        share = crowd / _GRAIN / np.maximum(room, 1e-9)
+        point_areas = self._spread(np.repeat(g.areas / 3, 3))
+        share = crowd / _GRAIN / np.maximum(point_areas, 1e-9)
         for _ in range(_SPREADS):
-            share = self._spread(np.repeat(share[g.land.triangles].mean(axis=1) * g.areas / 3, 3)) / np.maximum(room, 1e-9)
-        found: Floats = np.minimum(share[g.land.triangles].mean(axis=1), _FULL)
-        return found
+            share = self._spread(np.repeat(share[g.land.triangles].mean(axis=1) * g.areas / 3, 3)) / np.maximum(point_areas, 1e-9)
+        shares: Floats = np.minimum(share[g.land.triangles].mean(axis=1), _FULL)
+        return shares
 
     def _spread(self, each: Floats) -> Floats:
         assert self.grounds is not None
@@ -115,7 +115,7 @@ class Solved(Flow):
         """Return the ground area that agents of all species cover, summed at the lattice point nearest to each agent."""
         g, meshes = self.grounds, world.ground.meshes
         assert g is not None and meshes is not None
-        found = np.zeros(len(g.land.points), np.int64)
+        coverage = np.zeros(len(g.land.points), np.int64)
         for population in world.populations.values():
             face, known = meshes.on_faces(population.footing)
             slot = self._nearest_slot(face, population.footing)
@@ -123,16 +123,16 @@ class Solved(Flow):
             parts = np.rint(np.pi * radius * radius * _GRAIN)
             counted = known & g.faces[face] & (parts > 0) & (parts < 2.0**40)
             # whole numbers: exact whatever the order
-            found += np.bincount(g.point[slot[counted]], parts[counted], len(found)).astype(np.int64)
-        return found
+            coverage += np.bincount(g.point[slot[counted]], parts[counted], len(coverage)).astype(np.int64)
+        return coverage
 
     def state(self) -> dict[str, NDArray[Any]]:
-        found: dict[str, NDArray[Any]] = {} if self.crowd is None else {"crowd": self.crowd}
+        arrays: dict[str, NDArray[Any]] = {} if self.crowd is None else {"crowd": self.crowd}
         if self.renew is not None:
-            found |= {"c": self.c, "s": self.s}
+            arrays |= {"c": self.c, "s": self.s}
             if self.stores_reached and self.reached is not None:
-                found["reached"] = self.reached
-        return found
+                arrays["reached"] = self.reached
+        return arrays
 
     def restore(self, arrays: dict[str, NDArray[Any]]) -> None:
         for name, array in arrays.items():

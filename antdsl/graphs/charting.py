@@ -17,13 +17,13 @@ _GREY = (0.45, 0.46, 0.48)
 
 def charts(program: Program) -> tuple[Chart, ...]:
     """A chart for each machine of each species, in the order of the text. Species without states have none."""
-    made = []
+    all_charts = []
     for species in program.species.values():
         for machine in species.machines:
             if machine.states:
                 alone = len(species.machines) == 1
-                made.append(_chart(species.name if alone else f"{species.name}.{machine.name}", machine))
-    return tuple(made)
+                all_charts.append(_chart(species.name if alone else f"{species.name}.{machine.name}", machine))
+    return tuple(all_charts)
 
 
 def _chart(title: str, machine: Machine) -> Chart:
@@ -45,16 +45,16 @@ def _anywhere(change: Transition) -> bool:
 def _from_any(machine: Machine) -> list[tuple[Transition, tuple[str, ...]]]:
     """Return each change `from any` once, with the names of the states it excludes. Its target is not listed as excluded: a
     change never leads into the current state."""
-    found: dict[str, Transition] = {}
+    changes: dict[str, Transition] = {}
     where: dict[str, set[int]] = {}
     for state in machine.states:
         for change in state.transitions:
             if _anywhere(change):
-                found.setdefault(change.key, change)
+                changes.setdefault(change.key, change)
                 where.setdefault(change.key, set()).add(state.index)
     return [
         (change, tuple(s.name for s in machine.states if s.index not in where[key] and s.index != change.target))
-        for key, change in sorted(found.items(), key=lambda item: item[1].span.start)
+        for key, change in sorted(changes.items(), key=lambda item: item[1].span.start)
     ]
 
 
@@ -97,8 +97,8 @@ class _Sketch:
 
     def arrows(self) -> tuple[Arrow, ...]:
         return tuple(
-            Arrow(source, target, tuple(w for w, _ in found if w), interrupt, "\n".join(dict.fromkeys(d for _, d in found)))
-            for (source, target, interrupt), found in self._changes.items()
+            Arrow(source, target, tuple(w for w, _ in labels if w), interrupt, "\n".join(dict.fromkeys(d for _, d in labels)))
+            for (source, target, interrupt), labels in self._changes.items()
         )
 
 
@@ -120,7 +120,7 @@ def _words(change: Transition) -> str:
     parts = [
         _opening(change),
         _text(change.condition.span) if change.condition is not None else "",
-        f"after {_text(change.after.span)}" if change.after is not None else "",
+        f"after {_text(change.delay.span)}" if change.delay is not None else "",
         f"held {_text(change.held.span)}" if change.held is not None else "",
         _text(change.take.span) if change.take is not None else "",
     ]

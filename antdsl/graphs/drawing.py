@@ -115,16 +115,16 @@ def _line(arrow: PlacedArrow, colour: RGB) -> Iterator[Shape]:
     """Yield the shapes of a line, with a white rim below so that it crosses other lines like a bridge."""
     thick = THICK if arrow.arrow.interrupt else THIN
     head, end = _head(arrow.points[-2], arrow.points[-1], HEAD + thick)
-    way = _rounded((*arrow.points[:-1], end))
-    yield Line(way, WHITE, thick + 4)
-    yield Line(way, colour, thick, details=arrow.arrow.details)
+    path = _rounded((*arrow.points[:-1], end))
+    yield Line(path, WHITE, thick + 4)
+    yield Line(path, colour, thick, details=arrow.arrow.details)
     yield Line(head, colour, 0.0, closed=True)
 
 
-def _head(before: Point, tip: Point, long: float) -> tuple[tuple[Point, ...], Point]:
+def _head(previous_point: Point, tip: Point, long: float) -> tuple[tuple[Point, ...], Point]:
     """Return the three corners of an arrow's head, and the point where the line meets it."""
-    far = hypot(tip[0] - before[0], tip[1] - before[1]) or 1.0
-    x, y = (tip[0] - before[0]) / far, (tip[1] - before[1]) / far
+    far = hypot(tip[0] - previous_point[0], tip[1] - previous_point[1]) or 1.0
+    x, y = (tip[0] - previous_point[0]) / far, (tip[1] - previous_point[1]) / far
     back = (tip[0] - x * long, tip[1] - y * long)
     half = long * 0.42
     return (tip, (back[0] - y * half, back[1] + x * half), (back[0] + y * half, back[1] - x * half)), back
@@ -132,14 +132,14 @@ def _head(before: Point, tip: Point, long: float) -> tuple[tuple[Point, ...], Po
 
 def _rounded(points: Sequence[Point]) -> tuple[Point, ...]:
     """Return the same path with round corners, six points each."""
-    made = [points[0]]
-    for before, corner, after in zip(points, points[1:], points[2:], strict=False):
-        into, out = _toward(corner, before), _toward(corner, after)
+    curve = [points[0]]
+    for previous_point, corner, next_point in zip(points, points[1:], points[2:], strict=False):
+        into, out = _toward(corner, previous_point), _toward(corner, next_point)
         for k in range(7):
             t = k / 6
             a, b, c = (1 - t) ** 2, 2 * t * (1 - t), t * t
-            made.append((a * into[0] + b * corner[0] + c * out[0], a * into[1] + b * corner[1] + c * out[1]))
-    return (*made, points[-1])
+            curve.append((a * into[0] + b * corner[0] + c * out[0], a * into[1] + b * corner[1] + c * out[1]))
+    return (*curve, points[-1])
 
 
 def _toward(corner: Point, other: Point) -> Point:
@@ -168,8 +168,8 @@ def _said(arrow: PlacedArrow, colour: RGB) -> Iterator[Shape]:
     if arrow.words is None:
         return
     x, y = arrow.words.centre
-    room = arrow.words
-    yield Rectangle(room.left, room.top, room.width, room.height, 3, WHITE, None)
+    box = arrow.words
+    yield Rectangle(box.left, box.top, box.width, box.height, 3, WHITE, None)
     first = y - LINE * (len(arrow.lines) - 1) / 2
     ink = dark(colour, 0.1)
     for number, line in enumerate(arrow.lines):

@@ -23,7 +23,7 @@ from antdsl.graphs.letters import width
 from antdsl.graphs.model import Arrow, Box, Chart, Placed, PlacedArrow, PlacedChart, Point
 
 Size = tuple[float, float]
-Way = tuple[Point, ...]
+Route = tuple[Point, ...]
 Array = np.ndarray[Any, np.dtype[Any]]
 
 _STEP = 9.0  # px between two places on one line
@@ -76,19 +76,19 @@ def _placed(chart: Chart) -> PlacedChart:
     """Return the narrowest layout in which no words hide a line; else, of those not too wide, the one with the fewest hidden
     lines."""
     best: tuple[int, int, int] | None = None
-    kept: PlacedChart | None = None
+    best_chart: PlacedChart | None = None
     for number, spacing in enumerate(_SPACINGS):
         if best is not None and (best[:2] == (0, 0) or (best[0] == 0 and number >= _WIDE)):
             break
-        placed, found = _tried(chart, spacing)
-        value = (found.touching, found.crossed, number)
+        placed, placement = _tried(chart, spacing)
+        value = (placement.touching, placement.crossed, number)
         if best is None or value < best:
-            best, kept = value, placed
-    assert kept is not None
-    return kept
+            best, best_chart = value, placed
+    assert best_chart is not None
+    return best_chart
 
 
-def _tried(chart: Chart, spacing: dict[str, float]) -> tuple[PlacedChart, Found]:
+def _tried(chart: Chart, spacing: dict[str, float]) -> tuple[PlacedChart, WordPlacement]:
     import graphlay
 
     graph = graphlay.Graph()
@@ -98,16 +98,16 @@ def _tried(chart: Chart, spacing: dict[str, float]) -> tuple[PlacedChart, Found]
     folded = [fold(arrow) for arrow in chart.arrows]
     extents = [_extent(lines) if lines else None for lines in folded]
     for arrow, extent in zip(chart.arrows, extents, strict=True):
-        room: dict[str, Any] = {"label_size": {"width": extent[0], "height": extent[1]}} if extent else {}
-        graph.edge(arrow.source, arrow.target, **room)
+        label_options: dict[str, Any] = {"label_size": {"width": extent[0], "height": extent[1]}} if extent else {}
+        graph.edge(arrow.source, arrow.target, **label_options)
     laid = graphlay.layout(graph, preset="process_map", options={**_OPTIONS, "spacing": spacing})
-    places = [
+    node_boxes = [
         Placed((node["center"]["x"], node["center"]["y"]), *size(box)) for box, node in zip(chart.boxes, laid.nodes, strict=True)
     ]
-    ways = [tuple((point["x"], point["y"]) for point in edge["points"]) for edge in laid.edges]
-    found = place_words(places, ways, extents)
-    arrows = [PlacedArrow(*all_of_it) for all_of_it in zip(chart.arrows, ways, found.places, folded, strict=True)]
-    return _from_zero(chart, list(zip(chart.boxes, places, strict=True)), arrows), found
+    routes = [tuple((point["x"], point["y"]) for point in edge["points"]) for edge in laid.edges]
+    placement = place_words(node_boxes, routes, extents)
+    arrows = [PlacedArrow(*all_of_it) for all_of_it in zip(chart.arrows, routes, placement.word_boxes, folded, strict=True)]
+    return _from_zero(chart, list(zip(chart.boxes, node_boxes, strict=True)), arrows), placement
 
 
 def size(box: Box) -> tuple[float, float]:
@@ -122,11 +122,11 @@ def size(box: Box) -> tuple[float, float]:
 
 def fold(arrow: Arrow) -> tuple[str, ...]:
     """The words of an arrow in short lines."""
-    found: list[str] = []
+    short_lines: list[str] = []
     for line in arrow.lines:
         lines = textwrap.wrap(line, FOLD, break_on_hyphens=False) or [""]
-        found += lines if len(lines) <= LINES else [*lines[: LINES - 1], lines[LINES - 1][: FOLD - 2] + " …"]
-    return tuple(found)
+        short_lines += lines if len(lines) <= LINES else [*lines[: LINES - 1], lines[LINES - 1][: FOLD - 2] + " …"]
+    return tuple(short_lines)
 
 
 def _extent(lines: tuple[str, ...]) -> tuple[float, float]:
@@ -135,19 +135,19 @@ def _extent(lines: tuple[str, ...]) -> tuple[float, float]:
 
 def _from_zero(chart: Chart, boxes: list[tuple[Box, Placed]], arrows: list[PlacedArrow]) -> PlacedChart:
     """Return the chart moved so that all of it, with a margin, begins at (0, 0)."""
-    places = [place for _, place in boxes] + [arrow.words for arrow in arrows if arrow.words is not None]
-    xs = [x for a in arrows for x, _ in a.points] + [p.left for p in places] + [p.left + p.width for p in places]
-    ys = [y for a in arrows for _, y in a.points] + [p.top for p in places] + [p.top + p.height for p in places]
+    all_boxes = [place for _, place in boxes] + [arrow.words for arrow in arrows if arrow.words is not None]
+    xs = [x for a in arrows for x, _ in a.points] + [p.left for p in all_boxes] + [p.left + p.width for p in all_boxes]
+    ys = [y for a in arrows for _, y in a.points] + [p.top for p in all_boxes] + [p.top + p.height for p in all_boxes]
     wide, high = max(xs) - min(xs) + 2 * PADDING, max(ys) - min(ys) + 2 * PADDING
     return PlacedChart(chart, wide, high, tuple(boxes), tuple(arrows)).moved(PADDING - min(xs), PADDING - min(ys))
 
 
 @dataclass(frozen=True, slots=True)
-class Found:
+class WordPlacement:
     """A place for each arrow's words, None for no words. `touching`: how many touch boxes or other words. `crossed`: how many
     lines and heads are hidden by words."""
 
-    places: tuple[Placed | None, ...]
+    word_boxes: tuple[Placed | None, ...]
     touching: int
     crossed: int
 
@@ -167,59 +167,59 @@ class _Spots:
         return Placed((x, y), *self.size)
 
 
-def place_words(boxes: Sequence[Placed], ways: Sequence[Way], sizes: Sequence[Size | None]) -> Found:
+def place_words(boxes: Sequence[Placed], routes: Sequence[Route], sizes: Sequence[Size | None]) -> WordPlacement:
     """Return positions for the words on arrows, from the arrows' paths (mostly vertical and horizontal) and the words' sizes."""
-    spots = {number: _spots(number, boxes, ways, size) for number, size in enumerate(sizes) if size}
+    spots = {number: _spots(number, boxes, routes, size) for number, size in enumerate(sizes) if size}
     order = sorted(spots, key=lambda n: (int((spots[n].costs < _CROSSING).sum()), n))
     chosen: dict[int, int] = {}
     for _ in range(_ROUNDS):
-        before = dict(chosen)
+        previous_choice = dict(chosen)
         for number in order:
             others = [spots[n].place(k) for n, k in chosen.items() if n != number]
             costs = spots[number].costs + _BLOCKED * _touched(spots[number].centres, spots[number].size, others)
             chosen[number] = int(np.argmin(costs))
-        if chosen == before:
+        if chosen == previous_choice:
             break
-    places = {n: spots[n].place(k) for n, k in chosen.items()}
+    word_boxes = {n: spots[n].place(k) for n, k in chosen.items()}
     touching = sum(spots[n].costs[k] >= _BLOCKED for n, k in chosen.items())
-    for n, place in places.items():
+    for n, place in word_boxes.items():
         centre = np.array([place.centre])
-        touching += _touched(centre, spots[n].size, [other for m, other in places.items() if m < n])[0]
+        touching += _touched(centre, spots[n].size, [other for m, other in word_boxes.items() if m < n])[0]
     crossed = sum(int(spots[n].hidden[k]) for n, k in chosen.items())
-    return Found(tuple(places.get(n) for n in range(len(sizes))), int(touching), crossed)
+    return WordPlacement(tuple(word_boxes.get(n) for n in range(len(sizes))), int(touching), crossed)
 
 
-def _spots(number: int, boxes: Sequence[Placed], ways: Sequence[Way], size: Size) -> _Spots:
+def _spots(number: int, boxes: Sequence[Placed], routes: Sequence[Route], size: Size) -> _Spots:
     """Return candidate positions along an arrow's path, on the line and beside it."""
-    way = ways[number]
-    centres, costs = _along(way, size)
-    others = [part for n, other in enumerate(ways) if n != number for part in pairwise(other)]
-    corners = np.abs(centres[:, None] - np.array(way)) < np.array(size) / 2 + _CLEAR
+    route = routes[number]
+    centres, costs = _along(route, size)
+    others = [part for n, other in enumerate(routes) if n != number for part in pairwise(other)]
+    corners = np.abs(centres[:, None] - np.array(route)) < np.array(size) / 2 + _CLEAR
     turns = corners.all(axis=2)
     hidden = _lines(centres, size, others) + turns[:, -1]  # the tip of its arrowhead is hidden like a line of others
     costs = costs + _TURN * turns.sum(axis=1) + _CROSSING * hidden + _BLOCKED * _touched(centres, size, boxes)
     return _Spots(size, centres, costs, hidden)
 
 
-def _along(way: Way, size: Size) -> tuple[Array, Array]:
+def _along(route: Route, size: Size) -> tuple[Array, Array]:
     """Return centres [n, 2] and their individual costs [n]."""
-    found: list[Point] = []
+    centres: list[Point] = []
     costs: list[float] = []
-    length = sum(dist(a, b) for a, b in pairwise(way)) or 1.0
-    gone = 0.0
-    for begin, end in pairwise(way):
+    length = sum(dist(a, b) for a, b in pairwise(route)) or 1.0
+    start_length = 0.0
+    for begin, end in pairwise(route):
         long = dist(begin, end)
         upright = abs(begin[0] - end[0]) < 0.01
         for k in range(1 + max(0, int((long - 2 * _END) / _STEP))):
             share = min(1.0, (_END + k * _STEP) / long) if long > 2 * _END else 0.5
             x, y = begin[0] + (end[0] - begin[0]) * share, begin[1] + (end[1] - begin[1]) * share
-            middle = abs((gone + long * share) / length - 0.42)  # a little nearer to where the arrow comes from
+            middle = abs((start_length + long * share) / length - 0.42)  # a little nearer to where the arrow comes from
             for aside in (0.0, -1.0, 1.0):
                 right, down = (aside * (size[0] / 2 + 2), 0.0) if upright else (0.0, aside * (size[1] / 2 + 2))
-                found.append((x + right, y + down))
+                centres.append((x + right, y + down))
                 costs.append(_OFF * abs(aside) + _MIDDLE * middle)
-        gone += long
-    return np.array(found), np.array(costs)
+        start_length += long
+    return np.array(centres), np.array(costs)
 
 
 def _touched(centres: Array, size: Size, others: Sequence[Placed]) -> Array:
@@ -227,8 +227,8 @@ def _touched(centres: Array, size: Size, others: Sequence[Placed]) -> Array:
     if not others:
         return np.zeros(len(centres), int)
     middles = np.array([other.centre for other in others])
-    room = (np.array([(other.width, other.height) for other in others]) + np.array(size)) / 2 + _CLEAR
-    return np.asarray((np.abs(centres[:, None] - middles) < room).all(axis=2).sum(axis=1))
+    clearance = (np.array([(other.width, other.height) for other in others]) + np.array(size)) / 2 + _CLEAR
+    return np.asarray((np.abs(centres[:, None] - middles) < clearance).all(axis=2).sum(axis=1))
 
 
 def _lines(centres: Array, size: Size, parts: Sequence[tuple[Point, Point]]) -> Array:
@@ -237,5 +237,5 @@ def _lines(centres: Array, size: Size, parts: Sequence[tuple[Point, Point]]) -> 
         return np.zeros(len(centres), int)
     ends, half = np.array(parts), np.array(size) / 2 + 1
     low, high = ends.min(axis=1), ends.max(axis=1)
-    met = (low < (centres + half)[:, None]) & (high > (centres - half)[:, None])
-    return np.asarray(met.all(axis=2).sum(axis=1))
+    overlaps = (low < (centres + half)[:, None]) & (high > (centres - half)[:, None])
+    return np.asarray(overlaps.all(axis=2).sum(axis=1))

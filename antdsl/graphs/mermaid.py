@@ -39,9 +39,9 @@ def mermaid(charts: Sequence[Chart]) -> str:
 
 
 def _box(key: str, box: Box) -> str:
-    before, after = _SHAPES[box.kind]
+    prefix, suffix = _SHAPES[box.kind]
     words = [box.name, box.label] if box.kind in ("state", "any", "previous") else [" "]
-    return key + before + "<br/>".join(_escaped(word) for word in words if word) + after
+    return key + prefix + "<br/>".join(_escaped(word) for word in words if word) + suffix
 
 
 def _link(keys: dict[str, str], arrow: Arrow) -> str:

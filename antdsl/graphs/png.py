@@ -81,15 +81,15 @@ def _words(image: Image, words: Words, scale: float) -> None:
     from PIL import Image, ImageDraw
 
     letters = face(words.text, max(1, round(words.size * scale)))
-    room = words.width * scale
+    available_width = words.width * scale
     needs = letters.getlength(words.text)
     centre: Point = (words.centre[0] * scale, words.centre[1] * scale)
-    if needs <= room * 1.02:
+    if needs <= available_width * 1.02:
         ImageDraw.Draw(image).text(centre, words.text, _ink(words.colour), letters, anchor="mm")
         return
     mask = Image.new("L", (round(needs) + 2, round(words.size * scale * 1.6)))
     ImageDraw.Draw(mask).text((mask.width / 2, mask.height / 2), words.text, 255, letters, anchor="mm")
-    mask = mask.resize((max(1, round(room)), mask.height), Image.Resampling.BILINEAR)
+    mask = mask.resize((max(1, round(available_width)), mask.height), Image.Resampling.BILINEAR)
     corner = (round(centre[0] - mask.width / 2), round(centre[1] - mask.height / 2))
     image.paste(_ink(words.colour), (*corner, corner[0] + mask.width, corner[1] + mask.height), mask)
 

@@ -29,7 +29,7 @@ def _shape(shape: Shape) -> str:
             f' textLength="{_number(shape.width)}" lengthAdjust="spacingAndGlyphs">{escape(_legal(shape.text))}</text>'
         )
     if isinstance(shape, Rectangle):
-        return _whole(
+        return _close_element(
             f'<rect x="{_number(shape.left)}" y="{_number(shape.top)}" width="{_number(shape.width)}"'
             f' height="{_number(shape.height)}" rx="{_number(shape.radius)}" fill="{_hex(shape.fill)}"'
             f' stroke="{_hex(shape.edge)}" stroke-width="{_number(shape.thick)}"'
@@ -41,14 +41,14 @@ def _shape(shape: Shape) -> str:
 
 
 def _line(line: Line) -> str:
-    way = " ".join(f"{_number(x)},{_number(y)}" for x, y in line.points)
+    point_list = " ".join(f"{_number(x)},{_number(y)}" for x, y in line.points)
     if line.closed:
-        return f'<polygon points="{way}" fill="{_hex(line.colour)}"/>'
-    start = f'<polyline points="{way}" fill="none" stroke="{_hex(line.colour)}" stroke-width="{_number(line.thick)}"'
-    return _whole(start, line.details, "polyline")
+        return f'<polygon points="{point_list}" fill="{_hex(line.colour)}"/>'
+    start = f'<polyline points="{point_list}" fill="none" stroke="{_hex(line.colour)}" stroke-width="{_number(line.thick)}"'
+    return _close_element(start, line.details, "polyline")
 
 
-def _whole(start: str, details: str, name: str) -> str:
+def _close_element(start: str, details: str, name: str) -> str:
     return f"{start}><title>{escape(_legal(details))}</title></{name}>" if details else f"{start}/>"
 
 

@@ -14,7 +14,7 @@ from antdsl.ground.protocol import Floats, Footing, Meshes, Move
 from antdsl.ground.solid import Volume
 from antdsl.ground.solid import move as walk_on
 from antdsl.ground.solid_queries import below, dropped, entered, normals
-from antdsl.numerics.vector_rows import columned, length, level, some, within
+from antdsl.numerics.vector_rows import columned, length, level, take_rows, within
 from antdsl.numerics.vectors import turned
 
 Rows = NDArray[np.intp]
@@ -35,7 +35,7 @@ class _Walk:
     heading: Floats
     direction: Floats
     left: Floats
-    gone: Floats
+    distance: Floats
     blocked: NDArray[np.bool_]
     straight: bool  # ways on meshes end at open borders
 
@@ -81,30 +81,30 @@ class Terrain:
         if unknown:
             raise KeyError(f"no surface `{unknown[0]}` on this ground, which has {', '.join(self.names) or 'none'}")
         meshes = [name for name in names if name in self.names[: self._count]]
-        footing, found = self.nowhere(len(points)), np.zeros(len(points), np.bool_)
+        footing, is_placed = self.nowhere(len(points)), np.zeros(len(points), np.bool_)
         if meshes and self.meshes is not None:
-            on_mesh, found = self.meshes.place(points, up, meshes)
+            on_mesh, is_placed = self.meshes.place(points, up, meshes)
             footing = on_mesh.with_places()
         up = np.broadcast_to(np.asarray(up, np.float64), points.shape)
         place = self.position(footing)
         known = footing.mesh >= 0
         height = np.where(known, ((place - points) * up).sum(axis=1), -np.inf)
         for k, volume in enumerate(self._volumes):
-            asked = self.names[self._count + k] in names
+            is_requested = self.names[self._count + k] in names
             buried = known & (volume.sample(place) < -_SUNK * volume.voxel)
-            rows = np.arange(len(points)) if asked else np.flatnonzero(buried)
+            rows = np.arange(len(points)) if is_requested else np.flatnonzero(buried)
             if not rows.size:
                 continue
-            top, met = dropped(volume, points[rows], up[rows])
-            higher = met & (((top - points[rows]) * up[rows]).sum(axis=1) > height[rows])
-            higher |= met & buried[rows]
+            top, is_hit = dropped(volume, points[rows], up[rows])
+            higher = is_hit & (((top - points[rows]) * up[rows]).sum(axis=1) > height[rows])
+            higher |= is_hit & buried[rows]
             chosen = rows[higher]
             footing.put(chosen, Footing.on_solids(self._count + k, top[higher]))
             place[chosen] = top[higher]
             height[chosen] = ((top[higher] - points[chosen]) * up[chosen]).sum(axis=1)
-            found = found.copy()
-            found[chosen] = asked
-        return footing, found
+            is_placed = is_placed.copy()
+            is_placed[chosen] = is_requested
+        return footing, is_placed
 
     def nearest(self, points: Floats, on: Iterable[str] | None = None) -> tuple[Footing, Floats]:
         """Return footings at the nearest point of the meshes or solids, whichever is nearer, and the distance float64[n]; limited
@@ -122,7 +122,7 @@ class Terrain:
             hints = volume.gradient(points).astype(np.float64)
             landed = volume.project(points, hints / np.maximum(length(hints), 1e-12)[:, None], volume.band[1])
             away = length(landed.points - points)
-            rows = np.flatnonzero(landed.found & (away < distance))
+            rows = np.flatnonzero(landed.is_in_reach & (away < distance))
             footing.put(rows, Footing.on_solids(self._count + k, landed.points[rows]))
             distance[rows] = away[rows]
         return footing, distance
@@ -181,8 +181,8 @@ class Terrain:
         """As `MeshGround.move`, over meshes and solids."""
         n = len(footing)
         body = np.broadcast_to(np.asarray(body, np.float64), (n,))
-        way = columned(displacement)
-        np.nan_to_num(way, copy=False, posinf=0.0, neginf=0.0)
+        remaining = columned(displacement)
+        np.nan_to_num(remaining, copy=False, posinf=0.0, neginf=0.0)
         ahead = columned(heading)
         walk = _Walk(
             footing.copy(),
@@ -190,7 +190,7 @@ class Terrain:
             columned(up),
             ahead,
             ahead.copy("K"),
-            way,
+            remaining,
             np.zeros(n),
             np.zeros(n, np.bool_),
             straight,
@@ -203,7 +203,7 @@ class Terrain:
                 break
             rows = self._stretch(walk, rows, body, threads, last=hop == _HOPS - 1)
         lost = footing.mesh < 0
-        return Move(walk.footing, walk.place, walk.up, walk.heading, walk.direction, walk.gone, walk.blocked, lost)
+        return Move(walk.footing, walk.place, walk.up, walk.heading, walk.direction, walk.distance, walk.blocked, lost)
 
     # ---- parts of moving
 
@@ -224,12 +224,12 @@ class Terrain:
     def _on_meshes(self, walk: _Walk, rows: Rows, body: Floats, threads: int, last: bool) -> Rows:
         meshes = self.meshes
         assert meshes is not None
-        before = walk.footing.faces(rows)
-        wish, ahead, up = (some(v, rows) for v in (walk.left, walk.heading, walk.up))
-        moved = meshes.move(before, wish, ahead, up, body[rows], threads, walk.straight)
-        found = self._entering(moved.position, lambda who: meshes.position(before.take(who)))
-        self._stay(walk, rows, found.who, moved)
-        return self._step_up(walk, rows, found, moved, body, threads, last)
+        previous_footing = walk.footing.faces(rows)
+        wish, ahead, up = (take_rows(v, rows) for v in (walk.left, walk.heading, walk.up))
+        moved = meshes.move(previous_footing, wish, ahead, up, body[rows], threads, walk.straight)
+        entries = self._entering(moved.position, lambda who: meshes.position(previous_footing.take(who)))
+        self._stay(walk, rows, entries.who, moved)
+        return self._step_up(walk, rows, entries, moved, body, threads, last)
 
     @staticmethod
     def _stay(walk: _Walk, rows: Rows, but: Rows, moved: Move) -> None:
@@ -237,17 +237,17 @@ class Terrain:
         footing, vectors = moved.footing, [moved.position, moved.up, moved.heading, moved.direction]
         travelled, blocked = moved.travelled, moved.blocked
         if but.size:
-            kept = np.ones(rows.size, np.bool_)
-            kept[but] = False
-            of = np.flatnonzero(kept)
+            has_ended = np.ones(rows.size, np.bool_)
+            has_ended[but] = False
+            of = np.flatnonzero(has_ended)
             rows, footing = rows[of], footing.take(of)
-            vectors = [some(v, of) for v in vectors]
+            vectors = [take_rows(v, of) for v in vectors]
             travelled, blocked = travelled[of], blocked[of]
         walk.footing.put(rows, footing)
         for into, vector in zip((walk.place, walk.up, walk.heading, walk.direction), vectors, strict=True):
             for axis in range(3):
                 into[rows, axis] = vector[:, axis]
-        walk.gone[rows] += travelled
+        walk.distance[rows] += travelled
         walk.blocked[rows] |= blocked
         walk.left[rows] = 0.0
 
@@ -255,12 +255,12 @@ class Terrain:
         """Return the agents that enter undug solid, of any volume but number `but`, on the way from `start` (of some of them) to
         `end`."""
         part, which = np.full(len(end), np.inf), np.zeros(len(end), np.intp)
-        places = np.zeros((len(end), 3))
+        positions = np.zeros((len(end), 3))
         for k, volume in enumerate(self._volumes):
             if k == but:
                 continue
             near = within(end, volume.low, volume.high)
-            inside = near[volume.sample(some(end, near)) < -_SUNK * volume.voxel]
+            inside = near[volume.sample(take_rows(end, near)) < -_SUNK * volume.voxel]
             if not inside.size:
                 continue
             a, b = start(inside), end[inside]
@@ -268,34 +268,34 @@ class Terrain:
             sooner = free < part[inside]
             chosen = inside[sooner]
             part[chosen], which[chosen] = free[sooner], k
-            places[chosen] = (a + free[:, None] * (b - a))[sooner]
+            positions[chosen] = (a + free[:, None] * (b - a))[sooner]
         who = np.flatnonzero(part <= 1)
-        return _Entries(who, which[who], part[who], places[who])
+        return _Entries(who, which[who], part[who], positions[who])
 
-    def _step_up(self, walk: _Walk, rows: Rows, found: _Entries, moved: Move, body: Floats, threads: int, last: bool) -> Rows:
+    def _step_up(self, walk: _Walk, rows: Rows, entries: _Entries, moved: Move, body: Floats, threads: int, last: bool) -> Rows:
         """Step those of `rows` that entered a solid onto it; return those with distance left."""
         again = [np.empty(0, np.intp)]
         for k, volume in enumerate(self._volumes):
-            mine = np.flatnonzero(found.which == k)
+            mine = np.flatnonzero(entries.which == k)
             if not mine.size:
                 continue
-            of, part = found.who[mine], found.part[mine]
+            of, part = entries.who[mine], entries.part[mine]
             # From a little above: an agent exactly at the seam might be below a mesh after its next step.
-            above = found.place[mine] + moved.up[of] * (_LIFT * body[rows[of]])[:, None]
+            above = entries.place[mine] + moved.up[of] * (_LIFT * body[rows[of]])[:, None]
             landed = volume.project(above, normals(volume, above), 2 * volume.voxel)
-            ok = landed.found
+            ok = landed.is_in_reach
             if self.meshes is not None:
-                ok &= ~self.meshes.met(above, landed.points - above, threads)[0]
+                ok &= ~self.meshes.trace_hits(above, landed.points - above, threads)[0]
             shut = rows[of[~ok]]  # no place that can be reached: stay where the step began
             walk.blocked[shut], walk.left[shut] = True, 0.0
             walk.place[shut] = self.position(walk.footing.take(shut))
             on, of, part = rows[of[ok]], of[ok], part[ok]
             normal, place = landed.normals[ok], landed.points[ok]
-            before, way = moved.up[of], moved.direction[of]
-            walk.heading[on] = turned(moved.heading[of].T, before.T, normal.T, way.T).T
-            walk.direction[on] = turned(way.T, before.T, normal.T, way.T).T
+            previous_up, direction = moved.up[of], moved.direction[of]
+            walk.heading[on] = turned(moved.heading[of].T, previous_up.T, normal.T, direction.T).T
+            walk.direction[on] = turned(direction.T, previous_up.T, normal.T, direction.T).T
             walk.place[on], walk.up[on] = place, normal
-            walk.gone[on] += moved.travelled[of] * part
+            walk.distance[on] += moved.travelled[of] * part
             rest = np.zeros(len(on)) if last else moved.travelled[of] * (1 - part)
             walk.left[on] = walk.direction[on] * rest[:, None]
             walk.footing.put(on, Footing.on_solids(self._count + k, place))
@@ -303,34 +303,34 @@ class Terrain:
         return np.concatenate(again)
 
     def _on_volume(self, walk: _Walk, rows: Rows, k: int, volume: Volume, body: Floats, threads: int, last: bool) -> Rows:
-        before = walk.footing
-        start = np.stack([before.x[rows], before.y[rows], before.z[rows]]).T
-        wish, ahead, up = (some(v, rows) for v in (walk.left, walk.heading, walk.up))
+        previous_footing = walk.footing
+        start = np.stack([previous_footing.x[rows], previous_footing.y[rows], previous_footing.z[rows]]).T
+        wish, ahead, up = (take_rows(v, rows) for v in (walk.left, walk.heading, walk.up))
         moved = walk_on(volume, start, wish, ahead, up, body[rows], self._count + k)
-        met, part, footing = self._across(start, moved.position, up, moved.up, body[rows], threads)
-        found = self._entering(moved.position, lambda who: start[who], k)
-        earlier = found.part < part[found.who]
-        found = _Entries(found.who[earlier], found.which[earlier], found.part[earlier], found.place[earlier])
-        met[found.who] = False
-        lost = moved.lost & ~met
-        lost[found.who] = False
-        other = met | lost
-        other[found.who] = True
+        is_hit, part, footing = self._across(start, moved.position, up, moved.up, body[rows], threads)
+        entries = self._entering(moved.position, lambda who: start[who], k)
+        earlier = entries.part < part[entries.who]
+        entries = _Entries(entries.who[earlier], entries.which[earlier], entries.part[earlier], entries.place[earlier])
+        is_hit[entries.who] = False
+        lost = moved.lost & ~is_hit
+        lost[entries.who] = False
+        other = is_hit | lost
+        other[entries.who] = True
         self._stay(walk, rows, np.flatnonzero(other), moved)
         self._fall(walk, rows[lost])
-        again = self._step_up(walk, rows, found, moved, body, threads, last)
-        down = rows[met]
+        again = self._step_up(walk, rows, entries, moved, body, threads, last)
+        down = rows[is_hit]
         if not down.size or self.meshes is None:
             return again
-        onto = footing.take(met)
-        normal = self.meshes.upright(onto, start[met] - moved.position[met])  # the side that they come from
-        tilted, way = moved.up[met], moved.direction[met]
-        walk.heading[down] = level(turned(moved.heading[met].T, tilted.T, normal.T, way.T).T, normal)
-        walk.direction[down] = turned(way.T, tilted.T, normal.T, way.T).T
+        onto = footing.take(is_hit)
+        normal = self.meshes.upright(onto, start[is_hit] - moved.position[is_hit])  # the side that they come from
+        tilted, direction = moved.up[is_hit], moved.direction[is_hit]
+        walk.heading[down] = level(turned(moved.heading[is_hit].T, tilted.T, normal.T, direction.T).T, normal)
+        walk.direction[down] = turned(direction.T, tilted.T, normal.T, direction.T).T
         walk.footing.put(down, onto)
         walk.place[down], walk.up[down] = self.meshes.position(onto), normal
-        walk.gone[down] += moved.travelled[met] * part[met]
-        rest = np.zeros(len(down)) if last else moved.travelled[met] * (1 - part[met])
+        walk.distance[down] += moved.travelled[is_hit] * part[is_hit]
+        rest = np.zeros(len(down)) if last else moved.travelled[is_hit] * (1 - part[is_hit])
         walk.left[down] = walk.direction[down] * rest[:, None]
         return np.concatenate([again, down[rest > 0]])
 
@@ -344,15 +344,15 @@ class Terrain:
         least = np.full(len(rows), np.inf)
         for k, volume in enumerate(self._volumes):
             reach = length(np.maximum(np.abs(volume.high - start), np.abs(start - volume.low)))
-            place, met = below(volume, start, np.broadcast_to(self._up, start.shape), reach)
-            gone = length(place - start)
-            first = np.flatnonzero(met & (gone < least))
+            place, is_hit = below(volume, start, np.broadcast_to(self._up, start.shape), reach)
+            drop = length(place - start)
+            first = np.flatnonzero(is_hit & (drop < least))
             onto.put(first, Footing.on_solids(self._count + k, place[first]))
-            least[first] = gone[first]
+            least[first] = drop[first]
         if self.meshes is not None:
             far = self.meshes.extent + length(start - (self.meshes.low + self.meshes.high) / 2)
-            met, part, footing = self.meshes.met(start, -self._up * far[:, None])
-            first = np.flatnonzero(met & (part * far < least))
+            is_hit, part, footing = self.meshes.trace_hits(start, -self._up * far[:, None])
+            first = np.flatnonzero(is_hit & (part * far < least))
             onto.put(first, footing.take(first))
         walk.footing.put(rows, onto)
         walk.place[rows] = self.position(onto)
@@ -370,7 +370,7 @@ class Terrain:
             return np.zeros(n, np.bool_), np.ones(n), Footing.nowhere(n)
         lift = (_LIFT * body)[:, None]
         a, b = start + up * lift, end + up_after * lift
-        return self.meshes.met(a, b - a, threads)
+        return self.meshes.trace_hits(a, b - a, threads)
 
     # ---- footings
 

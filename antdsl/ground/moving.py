@@ -42,16 +42,16 @@ class MovingGround(MeshGround):
 
     def copy(self) -> MovingGround:
         """One that can be posed apart from this one."""
-        made = copy(self)
-        made._vertices, made._table = self._vertices.copy(), self._table.copy()
-        made._boxes = replace(self._boxes, bounds=self._boxes.bounds.copy())
-        made._scenes, made._fast, made._ends = {}, None, dict(self._ends)
-        made._clearances = _Clearances(made)  # type: ignore[assignment]
-        return made
+        ground = copy(self)
+        ground._vertices, ground._table = self._vertices.copy(), self._table.copy()
+        ground._boxes = replace(self._boxes, bounds=self._boxes.bounds.copy())
+        ground._scenes, ground._fast, ground._ends = {}, None, dict(self._ends)
+        ground._clearances = _Clearances(ground)  # type: ignore[assignment]
+        return ground
 
-    def pose(self, places: Mapping[str, Floats]) -> None:
+    def pose(self, vertices_by_name: Mapping[str, Floats]) -> None:
         """Set the vertices (n, 3) of moving meshes to their current positions."""
-        for name, vertices in places.items():
+        for name, vertices in vertices_by_name.items():
             rows = self._rows[name]
             self._vertices[self._corners[name]] = vertices
             repose(self._table, self._vertices, self._faces, rows)
@@ -144,16 +144,18 @@ class _Both:
     ) -> tuple[Index, Floats, NDArray[np.int32], NDArray[np.int32]]:
         n = len(origin)
         part, mesh, face = np.full(n, np.inf), np.full(n, -1, np.int32), np.full(n, -1, np.int32)
-        for scene, before in ((self._one, 0), (self._two, self._faces)):
+        for scene, first_face in ((self._one, 0), (self._two, self._faces)):
             which, t, _, local = scene.cast_within(origin, step, threads)
             nearer = t < part[which]
             which = which[nearer]
-            part[which], mesh[which], face[which] = t[nearer], 0, local[nearer] + before
-        met = np.flatnonzero(mesh >= 0)
-        return met, part[met], mesh[met], face[met]
+            part[which], mesh[which], face[which] = t[nearer], 0, local[nearer] + first_face
+        hit_rows = np.flatnonzero(mesh >= 0)
+        return hit_rows, part[hit_rows], mesh[hit_rows], face[hit_rows]
 
-    def faced(self, origin: Floats, way: Floats, normals: Floats, named: Index, threads: int = 1) -> tuple[Index, Floats, Floats]:
-        which, part, _, face = self.cast_within(origin, way, threads)
+    def faced(
+        self, origin: Floats, displacement: Floats, normals: Floats, named: Index, threads: int = 1
+    ) -> tuple[Index, Floats, Floats]:
+        which, part, _, face = self.cast_within(origin, displacement, threads)
         return which, part, normals.take(named.take(face), axis=1)
 
     def closest(self, points: Floats, threads: int = 1) -> tuple[NDArray[np.int32], NDArray[np.int32], Floats, Floats]:
@@ -206,11 +208,11 @@ class _Clearances:
         for k, rows in enumerate(ground._rows.values()):
             if ground._moves[k]:
                 self._low[rows], self._high[rows] = _boxes(ground._vertices, ground._faces[rows])
-        found = np.zeros(len(self._low), np.bool_)
+        is_near = np.zeros(len(self._low), np.bool_)
         for k, (name, rows) in enumerate(ground._rows.items()):
             low, high = ground._ends[name]
-            asked = np.arange(len(found)) if ground._moves[k] else np.flatnonzero(self._loose)
-            near = asked[((self._low[asked] <= high + wide) & (self._high[asked] >= low - wide)).all(axis=1)]
+            candidates = np.arange(len(is_near)) if ground._moves[k] else np.flatnonzero(self._loose)
+            near = candidates[((self._low[candidates] <= high + wide) & (self._high[candidates] >= low - wide)).all(axis=1)]
             own = (near >= rows.start) & (near < rows.stop)
-            found[near if name in self._several else near[~own]] = True
-        return np.flatnonzero(found)
+            is_near[near if name in self._several else near[~own]] = True
+        return np.flatnonzero(is_near)

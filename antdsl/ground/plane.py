@@ -88,9 +88,9 @@ class Plane:
 
 
 @inlined
-def straight(up: Vec3, point: Vec3, way: Vec3, ahead: Vec3) -> tuple[Pose, F64]:
+def straight(up: Vec3, point: Vec3, displacement: Vec3, ahead: Vec3) -> tuple[Pose, F64]:
     """Move one agent straight on; return its pose and the distance travelled."""
-    step, look = minus(way, times(up, dot(way, up))), minus(ahead, times(up, dot(ahead, up)))
+    step, look = minus(displacement, times(up, dot(displacement, up))), minus(ahead, times(up, dot(ahead, up)))
     far = np.sqrt(dot(step, step))
     direction = look
     if far > 0:
@@ -102,7 +102,7 @@ def straight(up: Vec3, point: Vec3, way: Vec3, ahead: Vec3) -> tuple[Pose, F64]:
 def straight_on(
     up: Array1[F64],
     point: Strided2[F64],
-    way: Strided2[F64],
+    displacements: Strided2[F64],
     ahead: Strided2[F64],
     to: Array2[F64],
     heading: Array2[F64],
@@ -112,7 +112,7 @@ def straight_on(
     """Move points by displacements perpendicular to `up`, with headings: all (n, 3). The last four arrays are the results."""
     normal = (up[0], up[1], up[2])
     for i in range(travelled.size):
-        step, look = (way[i, 0], way[i, 1], way[i, 2]), (ahead[i, 0], ahead[i, 1], ahead[i, 2])
+        step, look = (displacements[i, 0], displacements[i, 1], displacements[i, 2]), (ahead[i, 0], ahead[i, 1], ahead[i, 2])
         pose, far = straight(normal, (point[i, 0], point[i, 1], point[i, 2]), step, look)
         for k in range(3):
             to[i, k], heading[i, k], direction[i, k] = pose.place[k], pose.heading[k], pose.direction[k]

@@ -279,13 +279,13 @@ class Meshes(Ground, Protocol):
     def laid_out(self, face: Index, c: Floats, s: Floats) -> Floats:
         """Return world vectors (3, n) from their components along the two axes of their faces."""
 
-    def met(self, origin: Floats, way: Floats, threads: int = 1) -> tuple[Flags, Floats, Footing]:
-        """Return which straight ways from `origin` [n,3] by `way` [n,3] hit a surface, the part of the way before it, and the
-        footing there."""
+    def trace_hits(self, origin: Floats, displacement: Floats, threads: int = 1) -> tuple[Flags, Floats, Footing]:
+        """Return which straight ways from `origin` [n,3] by `displacement` [n,3] hit a surface, the part of the way before it,
+        and the footing there."""
 
-    def faced(self, origin: Floats, way: Floats, threads: int = 1) -> tuple[Index, Floats, Floats]:
-        """Return the numbers, ascending, of straight ways from `origin` [n,3] by `way` [n,3] that hit a surface. Return also the
-        part of the way before it, and the face's unit normal (3, k), by its winding."""
+    def faced(self, origin: Floats, displacement: Floats, threads: int = 1) -> tuple[Index, Floats, Floats]:
+        """Return the numbers, ascending, of straight ways from `origin` [n,3] by `displacement` [n,3] that hit a surface. Return
+        also the part of the way before it, and the face's unit normal (3, k), by its winding."""
 
     def rising(self, footing: Footing, place: Floats, reach: Floats, threads: int = 1) -> Index:
         """Return the rows, ascending, of agents at positions [n,3] for which a surface may rise within `reach` [n] mm, if that is

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.casting.nearby import Ask, FeelerHits, everybody
+from antdsl.casting.nearby import Ask, FeelerHits, list_askers
 from antdsl.casting.triangle_grid import Arrays
 from antdsl.ground.solid import Volume
 from antdsl.ground.solid.bricks import CUBE, SIDE
@@ -37,8 +37,8 @@ class SolidFeelers:
     def clearance(self, x: NDArray[Any], y: NDArray[Any], z: NDArray[Any], threads: int = 1) -> NDArray[np.float32]:
         """Return a distance (mm, float32[n]) within which there is no surface around each point; 0 when one is near."""
         place = np.stack([x, y, z], axis=1).astype(np.float64)
-        found = parallel.in_parts(lambda begin, end: self._clearance(place[begin:end]), len(place), threads)
-        return found[0] if len(found) == 1 else np.concatenate(found)
+        parts = parallel.in_parts(lambda begin, end: self._clearance(place[begin:end]), len(place), threads)
+        return parts[0] if len(parts) == 1 else np.concatenate(parts)
 
     def _clearance(self, place: Floats) -> NDArray[np.float32]:
         away = np.maximum(np.maximum(self.volume.low - place, place - self.volume.high), 0.0)
@@ -65,36 +65,36 @@ class SolidFeelers:
 
         A ray hits where it enters the solid. A ray that starts inside, or along the surface under its agent, counts as free at
         its start."""
-        origin, way = (np.stack(v, axis=1).astype(np.float64) for v in ((x, y, z), (dx, dy, dz)))
+        origin, direction = (np.stack(v, axis=1).astype(np.float64) for v in ((x, y, z), (dx, dy, dz)))
         n = len(origin)
         far = np.broadcast_to(np.asarray(reach, np.float64), (n,))
         voxel, through = self.volume.voxel, -_THROUGH * self.volume.voxel
-        first, last = self._through_box(origin, way)
+        first, last = self._through_box(origin, direction)
         far = np.minimum(far, last)  # or a reach without measure would march on for ever
-        gone = np.where(first > _MARCHES * self.volume.band[1], first, 0.0)
+        progress = np.where(first > _MARCHES * self.volume.band[1], first, 0.0)
         free, shut = np.zeros(n), np.full(n, np.inf)
         rows = np.flatnonzero((far > 0) & (first <= far))
-        before = self.volume.sample(origin[rows] + gone[rows, None] * way[rows]).astype(np.float64)
-        for _ in range(_MARCHES + int((far - gone)[rows].max(initial=0.0) / self.volume.band[1])):
-            step = np.maximum(np.abs(before), _LEAST * voxel)
-            ahead = np.minimum(gone[rows] + step, far[rows])
-            here = self.volume.sample(origin[rows] + ahead[:, None] * way[rows]).astype(np.float64)
-            met = (here < through) & (before >= through)
-            free[rows[met]], shut[rows[met]] = gone[rows[met]], ahead[met]
-            on = ~met & (ahead < far[rows])
-            gone[rows] = ahead
-            rows, before = rows[on], here[on]
+        previous_distance = self.volume.sample(origin[rows] + progress[rows, None] * direction[rows]).astype(np.float64)
+        for _ in range(_MARCHES + int((far - progress)[rows].max(initial=0.0) / self.volume.band[1])):
+            step = np.maximum(np.abs(previous_distance), _LEAST * voxel)
+            ahead = np.minimum(progress[rows] + step, far[rows])
+            next_distance = self.volume.sample(origin[rows] + ahead[:, None] * direction[rows]).astype(np.float64)
+            is_hit = (next_distance < through) & (previous_distance >= through)
+            free[rows[is_hit]], shut[rows[is_hit]] = progress[rows[is_hit]], ahead[is_hit]
+            on = ~is_hit & (ahead < far[rows])
+            progress[rows] = ahead
+            rows, previous_distance = rows[on], next_distance[on]
             if not rows.size:
                 break
         hit = np.flatnonzero(np.isfinite(shut))
         t, normal = np.full(n, np.inf), np.zeros((3, n), np.float32)
-        t[hit] = self._entry(origin[hit], way[hit], free[hit], shut[hit])
-        normal[:, hit] = self._normals(origin[hit] + t[hit, None] * way[hit])
+        t[hit] = self._entry(origin[hit], direction[hit], free[hit], shut[hit])
+        normal[:, hit] = self._normals(origin[hit] + t[hit, None] * direction[hit])
         return FeelerHits(np.isfinite(t), t.astype(np.float32), *normal)
 
-    def felt(self, places: Arrays, asks: Sequence[Ask], threads: int = 1) -> list[tuple[int, NDArray[np.intp]]]:
+    def feel_batch(self, positions: Arrays, asks: Sequence[Ask], threads: int = 1) -> list[tuple[int, NDArray[np.intp]]]:
         """Return all agents for all queries: each uses `feelers`."""
-        return everybody(asks)
+        return list_askers(asks)
 
     def near(
         self, x: NDArray[Any], y: NDArray[Any], z: NDArray[Any], reach: NDArray[Any] | float, threads: int = 1
@@ -114,18 +114,21 @@ class SolidFeelers:
         t[~hit], normal[~hit] = np.inf, 0
         return FeelerHits(hit, t, *np.ascontiguousarray(normal.T))
 
-    def _through_box(self, origin: Floats, way: Floats) -> tuple[Floats, Floats]:
+    def _through_box(self, origin: Floats, direction: Floats) -> tuple[Floats, Floats]:
         """Return the lengths at which each ray enters and leaves the box that contains the solid. A ray that misses the box has
         the exit before the entry."""
         with np.errstate(all="ignore"):
-            ends = [(side - origin) / way for side in (self.volume.low - self.volume.voxel, self.volume.high + self.volume.voxel)]
+            ends = [
+                (side - origin) / direction
+                for side in (self.volume.low - self.volume.voxel, self.volume.high + self.volume.voxel)
+            ]
         return np.fmax.reduce(np.fmin(*ends), axis=1), np.fmin.reduce(np.fmax(*ends), axis=1)
 
-    def _entry(self, origin: Floats, way: Floats, free: Floats, inside: Floats) -> Floats:
+    def _entry(self, origin: Floats, direction: Floats, free: Floats, inside: Floats) -> Floats:
         """Return the length, between two lengths, at which each ray enters the solid, exact to 1/256 of the step."""
         for _ in range(_HALVINGS):
             middle = (free + inside) / 2
-            solid = self.volume.sample(origin + middle[:, None] * way) < -_THROUGH * self.volume.voxel
+            solid = self.volume.sample(origin + middle[:, None] * direction) < -_THROUGH * self.volume.voxel
             free, inside = np.where(solid, free, middle), np.where(solid, middle, inside)
         return free
 
@@ -142,8 +145,8 @@ class SolidFeelers:
 
         removed = self.volume.removed
         if self._far is None or self._far[0] != removed:
-            found = self._on_surface()
-            self._far = (removed, cKDTree(found) if len(found) else None, found)
+            surface_points = self._on_surface()
+            self._far = (removed, cKDTree(surface_points) if len(surface_points) else None, surface_points)
         _, tree, surface = self._far
         if tree is None:
             return np.full(len(place), np.inf, np.float32), np.zeros((len(place), 3), np.float32)

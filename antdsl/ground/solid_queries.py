@@ -22,8 +22,8 @@ def entered(volume: Volume, start: Floats, end: Floats) -> Floats:
     free, long = np.zeros(len(start)), 1.0
     for _ in range(_LOOKS):
         parts = free + long * (np.arange(_PARTS) / _PARTS)[:, None]
-        places = start + parts[:, :, None] * (end - start)
-        solid = (volume.sample(places.reshape(-1, 3)) < 0).reshape(parts.shape)
+        positions = start + parts[:, :, None] * (end - start)
+        solid = (volume.sample(positions.reshape(-1, 3)) < 0).reshape(parts.shape)
         first = np.where(solid.any(axis=0), solid.argmax(axis=0), _PARTS)
         long /= _PARTS
         free += np.maximum(first - 1, 0) * long
@@ -50,4 +50,4 @@ def below(volume: Volume, start: Floats, up: Floats, reach: Floats | float) -> t
     hits = SolidFeelers(volume).feelers(*start.T, -up[:, 0], -up[:, 1], -up[:, 2], reach)  # type: ignore[call-arg]
     place = start - up * np.where(hits.hit, hits.t, 0.0)[:, None]
     landed = volume.project(place, up, 2 * volume.voxel)
-    return landed.points, hits.hit & landed.found
+    return landed.points, hits.hit & landed.is_in_reach

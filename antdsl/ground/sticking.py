@@ -31,19 +31,21 @@ def move_by_rays(ground: Meshes, footing: Footing, wish: Floats, heading: Floats
     ahead = np.where(going, wish / np.where(going, length, 1.0), heading)
     eye, reach = place + up * (RISE * body), REACH * body
     down, slant = -up * reach, (ahead * FORWARD + up * UPWARD) * reach
-    found1, part1, footing1 = ground.met((eye + wish).T, down.T, threads)
-    found2, part2, footing2 = ground.met(eye.T, slant.T, threads)
+    found1, part1, footing1 = ground.trace_hits((eye + wish).T, down.T, threads)
+    found2, part2, footing2 = ground.trace_hits(eye.T, slant.T, threads)
     second = found2 & ~(found1 & (part1 <= part2))
-    met = known & going & (found1 | found2)
+    is_hit = known & going & (found1 | found2)
     towards = np.where(second, slant, down)
     hit = np.where(second, eye, eye + wish) + towards * np.where(second, part2, part1)
-    onto = Footing.chosen(met, Footing.chosen(second, footing2, footing1), footing)
-    normal = ground.upright(onto, np.where(met, -towards, up).T).T
-    turned, way = (np.where(met, _laid(vector, up, normal), vector) for vector in (heading, ahead))
-    hit = np.where(met, hit, place)
-    gone = np.sqrt(dot(hit - place, hit - place))
-    position, above, ahead, direction = (np.ascontiguousarray(v).T for v in (hit, np.where(met, normal, up), turned, way))
-    return Move(onto, position, above, ahead, direction, gone, going & ~met, ~known)
+    onto = Footing.chosen(is_hit, Footing.chosen(second, footing2, footing1), footing)
+    normal = ground.upright(onto, np.where(is_hit, -towards, up).T).T
+    turned, new_direction = (np.where(is_hit, _laid(vector, up, normal), vector) for vector in (heading, ahead))
+    hit = np.where(is_hit, hit, place)
+    distance = np.sqrt(dot(hit - place, hit - place))
+    position, above, ahead, direction = (
+        np.ascontiguousarray(v).T for v in (hit, np.where(is_hit, normal, up), turned, new_direction)
+    )
+    return Move(onto, position, above, ahead, direction, distance, going & ~is_hit, ~known)
 
 
 def _laid(vector: Floats, up: Floats, normal: Floats) -> Floats:

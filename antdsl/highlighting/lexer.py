@@ -11,22 +11,22 @@ from pygments.token import Text, Token
 
 from antdsl.highlighting.patterns import CLASSES, PATTERNS, Pattern
 
-_Found = Iterator[tuple[int, Any, str]]
+_TokenStream = Iterator[tuple[int, Any, str]]
 
 
 def token_type(name: str) -> Any:
     """Pygments' type of token for a class."""
-    found: Any = Token
+    token: Any = Token
     for part in CLASSES[name][1].split("."):
-        found = getattr(found, part)
-    return found
+        token = getattr(token, part)
+    return token
 
 
-def _action(pattern: Pattern) -> Callable[[RegexLexer, Match[str]], _Found]:
+def _action(pattern: Pattern) -> Callable[[RegexLexer, Match[str]], _TokenStream]:
     """Return an action that splits a match at the groups of its pattern. Text between the groups is blank."""
     types = [token_type(name) for name in pattern.classes]
 
-    def action(lexer: RegexLexer, match: Match[str]) -> _Found:
+    def action(lexer: RegexLexer, match: Match[str]) -> _TokenStream:
         last = match.start()
         for number, kind in enumerate(types, 1 if match.re.groups else 0):
             start, end = match.span(number)

@@ -9,7 +9,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 from antdsl.program.tables.colours import COLOURS
-from antdsl.program.tables.vocabulary import BUILTINS, GIVEN, REDUCERS, RUN_NAMES, SENSED_NAMES, TYPE_WORDS
+from antdsl.program.tables.vocabulary import BUILTIN_ATTRIBUTES, BUILTINS, REDUCERS, RUN_NAMES, SENSED_NAMES, TYPE_WORDS
 from antdsl.syntax.words import FIELD_SETTINGS, FORMS, LINE_WORDS, NUMBER, UNITS, WORLD_KINDS
 
 
@@ -68,7 +68,7 @@ def _any(words: Iterable[str]) -> str:
 _FIRST = {word for words in LINE_WORDS.values() for word in words} | {"exit", "enter"}
 _PLAIN_FIRST = _FIRST - set(DECLARING) - set(CLAIMS)
 _FUNCTIONS = set(BUILTINS) | set(REDUCERS)
-_PROPERTIES = (set(GIVEN) | set(RUN_NAMES) | set(SENSED_NAMES) | {"self", "it", "up", "state"}) - set(INNER)
+_PROPERTIES = (set(BUILTIN_ATTRIBUTES) | set(RUN_NAMES) | set(SENSED_NAMES) | {"self", "it", "up", "state"}) - set(INNER)
 
 PATTERNS: tuple[Pattern, ...] = (
     Pattern(r"#.*$", ("comment",)),

@@ -38,10 +38,10 @@ from antdsl.program.tables.colours import COLOURS
 from antdsl.program.tables.rows import Builtin
 from antdsl.program.tables.units import dimension_words, measure, unit_of
 from antdsl.program.tables.vocabulary import (
+    BUILTIN_ATTRIBUTES,
     BUILTINS,
-    GIVEN,
-    HIT_GIVEN,
-    ITEM_GIVEN,
+    HIT_ATTRIBUTES,
+    ITEM_ATTRIBUTES,
     REDUCERS,
     RESERVED,
     RUN_NAMES,
@@ -83,13 +83,13 @@ def _element(key: Key) -> str | None:
     return markdown(key[-1], "one of the set, each in turn")
 
 
-def _given(key: Key) -> str | None:
-    row = GIVEN.get(key[1])
+def _describe_built_in(key: Key) -> str | None:
+    row = BUILTIN_ATTRIBUTES.get(key[1])
     if row is None:
         return None
-    more = ([f"default {row.default}"] if row.default else []) + (["may be set"] if row.settable else [])
+    details = ([f"default {row.default}"] if row.default else []) + (["may be set"] if row.settable else [])
     form = f"{key[1]} {row.default}" if row.default else f"let mine = {key[1]}"
-    return markdown(f"{key[1]}: {row.type}\n{form}", "; ".join([row.help, *more]), "every animal has it")
+    return markdown(f"{key[1]}: {row.type}\n{form}", "; ".join([row.help, *details]), "every animal has it")
 
 
 def builtin_form(name: str, row: Builtin) -> str:
@@ -102,7 +102,7 @@ def builtin_form(name: str, row: Builtin) -> str:
 
 
 def _builtin(key: Key) -> str | None:
-    said = [rule(key) for rule in (_called, _reducer, _whole)]
+    said = [rule(key) for rule in (_called, _reducer, _describe_form)]
     return "\n\n".join(each for each in said if each) or None
 
 
@@ -117,7 +117,7 @@ def _reducer(key: Key) -> str | None:
     return markdown(f"{key[1]}(n in SET: …)\n{SET_FORMS[key[1]]}", REDUCERS[key[1]]) if key[1] in REDUCERS else None
 
 
-def _whole(key: Key) -> str | None:
+def _describe_form(key: Key) -> str | None:
     return markdown(f"{key[1]}(…)\n{WHOLE_FORMS[key[1]]}", WHOLE_HELP[key[1]]) if key[1] in WHOLE_HELP else None
 
 
@@ -145,8 +145,8 @@ def _unit(key: Key) -> str | None:
     if known is None:
         return None
     base = unit_of(known.dim)
-    whole = measure(base)
-    factor = known.factor / whole.factor if whole is not None else known.factor  # angles are in radians behind `deg`
+    base_unit = measure(base)
+    factor = known.factor / base_unit.factor if base_unit is not None else known.factor  # angles are in radians behind `deg`
     worth = f"1 {key[1]} = {factor:.6g} {base}".strip() if key[1] != base and not known.u and not known.step else ""
     rate = f"so much a second: `x += 3 {key[1]}` in a state" if known.dim.time == -1 and not known.step else ""
     of_steps = "" if not known.step or key[1] in UNIT_HELP else STEPS
@@ -198,12 +198,12 @@ def _colour(key: Key) -> str | None:
 
 
 LANGUAGE: dict[str, Rule] = {
-    "given": _given, "builtin": _builtin, "builtin-argument": _builtin_argument, "word": _word, "unit": _unit,
+    "given": _describe_built_in, "builtin": _builtin, "builtin-argument": _builtin_argument, "word": _word, "unit": _unit,
     "steered": _steered, "event": _event, "element": _element,
     "setting": _said(SETTINGS, "setting of a field", SETTING_FORMS),
     "kind": _said(KINDS, "kind of thing of the world", KIND_FORMS), "type": _type_word,
-    "item-given": _typed_word(ITEM_GIVEN, "every item has it", "nearest(food).{}"),
-    "hit-given": _typed_word(HIT_GIVEN, "what a ray met has it", "ray(heading, reach: 20 mm, on: stones).{}"),
+    "item-given": _typed_word(ITEM_ATTRIBUTES, "every item has it", "nearest(food).{}"),
+    "hit-given": _typed_word(HIT_ATTRIBUTES, "what a ray met has it", "ray(heading, reach: 20 mm, on: stones).{}"),
     "motion": _typed_word(MOTION, "how the crowd moves", "motion.{}"),
     "geometry": _typed_word(GEOMETRY, "how an animal's body stands: for specs", "any({} > 0)"),
     "scene": _said(SCENE_HELP, "key of a scene", SCENE_FORMS, "yaml"), "colour": _colour,
@@ -215,15 +215,15 @@ _MEANINGS: tuple[tuple[str, Collection[str], Rule], ...] = (
     ("inside a line", INNER_HELP, lambda key: keyword(key[1], False)),
     ("a call", BUILTINS, _called),
     ("of a set", REDUCERS, _reducer),
-    ("of all agents, in a spec", WHOLE_HELP, _whole),
-    ("every animal has it", GIVEN, _given),
+    ("of all agents, in a spec", WHOLE_HELP, _describe_form),
+    ("every animal has it", BUILTIN_ATTRIBUTES, _describe_built_in),
     ("a value", {**STATE_WORD_HELP, **WORD_HELP}, _word),
     ("a unit", UNITS, _unit),
     ("kind of thing of the world", KINDS, LANGUAGE["kind"]),
     ("setting of a field", SETTINGS, LANGUAGE["setting"]),
     ("a type", TYPE_WORDS, _type_word),
-    ("what a ray met has it", HIT_GIVEN, LANGUAGE["hit-given"]),
-    ("every item has it", ITEM_GIVEN, LANGUAGE["item-given"]),
+    ("what a ray met has it", HIT_ATTRIBUTES, LANGUAGE["hit-given"]),
+    ("every item has it", ITEM_ATTRIBUTES, LANGUAGE["item-given"]),
     ("how the crowd moves", MOTION, LANGUAGE["motion"]),
     ("how an animal's body stands: for specs", GEOMETRY, LANGUAGE["geometry"]),
     ("key of a scene", SCENE_HELP, LANGUAGE["scene"]),
@@ -240,24 +240,24 @@ def words() -> set[str]:
     return {*tables, *own, *arguments, *library_names(), *RESERVED}
 
 
-def about(word: str) -> str | None:
+def explain_word(word: str) -> str | None:
     """Return all meanings of a word of the language, of a scene or of the library, as Markdown, each separate; None for an
     unknown word. A unit may be compound, and have a number before it."""
-    found = [(title, rule(("", word))) for title, table, rule in _MEANINGS if word in table]
+    meanings = [(title, rule(("", word))) for title, table, rule in _MEANINGS if word in table]
     unit = word.lstrip("0123456789. ")
-    if not found and (known := _unit(("unit", unit))):
-        found, word = [("a unit", known)], unit
-    found += [("argument of a call", "\n\n".join(_arguments(word)))]
+    if not meanings and (known := _unit(("unit", unit))):
+        meanings, word = [("a unit", known)], unit
+    meanings += [("argument of a call", "\n\n".join(_arguments(word)))]
     for brings, node in _library():
         if node.name.text == word:
             text = markdown(f"behaviour {signature(node)}", node.help.text if node.help else "", f"`use {brings}`")
-            found.append(
+            meanings.append(
                 (f"a behaviour of the library `{brings}`", f"{text}\n\nIt is written so:\n\n```ant\n{node.span.text}\n```")
             )
     if word in library_names():
         names = ", ".join(f"`{node.name.text}`" for brings, node in _library() if brings == word)
-        found.append(("a library", markdown(f"use {word}", f"the library: {names}")))
-    said = [(title, text) for title, text in found if text]
+        meanings.append(("a library", markdown(f"use {word}", f"the library: {names}")))
+    said = [(title, text) for title, text in meanings if text]
     if not said and word in RESERVED:
         said = [("", "a word of the language that does not work yet")]
     if not said:

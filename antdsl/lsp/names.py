@@ -12,7 +12,7 @@ from antdsl.program.expectations import MOTION
 from antdsl.program.names.bindings import Bindings, Key
 from antdsl.program.names.declared import Declaration, declarations
 from antdsl.program.tables.effects import EFFECTS
-from antdsl.program.tables.vocabulary import BUILTINS, GIVEN, REDUCERS, RUN_NAMES, SENSED_NAMES
+from antdsl.program.tables.vocabulary import BUILTIN_ATTRIBUTES, BUILTINS, REDUCERS, RUN_NAMES, SENSED_NAMES
 from antdsl.program.traverse import written
 from antdsl.program.types.aggregates import WHOLES
 from antdsl.program.types.states import STATE_WORDS
@@ -58,7 +58,7 @@ class Names:
     modules: dict[str, Path] = field(default_factory=dict)
     events: dict[str, nodes.Name] = field(default_factory=dict)
     declared: dict[Key, Declaration] = field(default_factory=dict)
-    places: dict[Span, Key] = field(default_factory=dict)  # where names are declared, again ones too
+    declaration_keys: dict[Span, Key] = field(default_factory=dict)  # where names are declared, again ones too
 
 
 def names_of(path: Path, file: nodes.File) -> Names:
@@ -68,7 +68,7 @@ def names_of(path: Path, file: nodes.File) -> Names:
         names.declared.setdefault(each.key, each)
         kind, *_, last = each.key
         if kind != "event":  # to raise one is no declaration
-            names.places[each.name.span] = each.key
+            names.declaration_keys[each.name.span] = each.key
         if kind == "thing":
             names.things.setdefault(last, each.node)
         elif kind == "field":
@@ -88,7 +88,7 @@ def names_of(path: Path, file: nodes.File) -> Names:
         elif kind == "state":
             names.species[each.key[1]].machines.setdefault(each.key[2], {}).setdefault(last, each.node)
     used = [item.library.text for item in file.items if isinstance(item, nodes.Use) and item.library is not None]
-    names.libraries = {name: found for name in used if (found := library_file(name)) is not None}
+    names.libraries = {name: library_path for name in used if (library_path := library_file(name)) is not None}
     return names
 
 
@@ -101,7 +101,7 @@ def occurrences(names: Names, bindings: Bindings) -> list[Occurrence]:
     If the checker did not resolve or did not reach a name, its kind begins with `?`."""
     bound: dict[Span, dict[Key, None]] = {}
     for span, declared in bindings.uses:
-        key = names.places.get(declared) or _element(names, declared) if isinstance(declared, Span) else declared
+        key = names.declaration_keys.get(declared) or _element(names, declared) if isinstance(declared, Span) else declared
         bound.setdefault(span, {})[key] = None
     index = _Index(names, bound)
     for item in names.file.items:
@@ -112,7 +112,7 @@ def occurrences(names: Names, bindings: Bindings) -> list[Occurrence]:
 def _element(names: Names, declared: Span) -> Key:
     """Return the key of a symbol that is visible in one expression or handler only. Its name is unique only together with its
     position."""
-    return ("element", str(names.file.whole(declared).start), declared.text)
+    return ("element", str(names.file.file_span(declared).start), declared.text)
 
 
 @dataclass(slots=True)
@@ -137,7 +137,7 @@ class _Index:
 
     def name(self, name: nodes.Name, item: nodes.TopItem) -> None:
         span = Span(name.span.source, name.span.start, name.span.start + len(name.text))  # without the colon of an argument
-        declared = self.names.places.get(name.span)
+        declared = self.names.declaration_keys.get(name.span)
         if declared is not None:
             self.found.append(Occurrence(span, declared, True))
         elif name.span in self.bound:
@@ -206,7 +206,7 @@ class _Index:
 
     def reference(self, node: nodes.NameRef) -> None:
         name = node.name.text
-        self.by_place(node.name, "given" if name in GIVEN else "word" if name in _WORDS else "?")
+        self.by_place(node.name, "given" if name in BUILTIN_ATTRIBUTES else "word" if name in _WORDS else "?")
 
     def member(self, node: nodes.Member) -> None:
         motion = isinstance(node.owner, nodes.NameRef) and node.owner.name.text == "motion" and node.name.text in MOTION
@@ -238,7 +238,7 @@ class _Index:
 # Names of which the place in the tree says what they are, or what they are looked for as: by node and field.
 _BY_PLACE: dict[type, tuple[tuple[str, str], ...]] = {
     nodes.TypeName: (("name", "type"), ("of", "?")), nodes.WorldItem: (("kind", "kind"),), nodes.Setting: (("name", "setting"),),
-    nodes.Given: (("name", "given"),), nodes.Use: (("library", "library"),), nodes.NoneOf: (("of", "?"),),
+    nodes.AnimalProperty: (("name", "given"),), nodes.Use: (("library", "library"),), nodes.NoneOf: (("of", "?"),),
     nodes.State: (("colour", "colour"),), nodes.FieldDecl: (("surfaces", "thing"),),
     nodes.ForEach: (("species", "species"),), nodes.Take: (("attribute", "?"),), nodes.Give: (("attribute", "?"),),
     nodes.Start: (("state", "?state"),), nodes.Target: (("name", "?state"),), nodes.Weight: (("target", "?state"),),

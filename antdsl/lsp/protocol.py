@@ -36,62 +36,68 @@ def range_of(range: Range) -> lsp.Range:
     return lsp.Range(lsp.Position(line, column), lsp.Position(end_line, end_column))
 
 
-def diagnostic(workspace: Workspace, document: Document, found: Diagnostic) -> lsp.Diagnostic:
+def diagnostic(workspace: Workspace, document: Document, complaint: Diagnostic) -> lsp.Diagnostic:
     """Return a finding in the protocol's form: its message with the help, its code, and the related locations."""
     related = []
-    for label in found.labels:
+    for label in complaint.labels:
         place = workspace.span_of(label.span)
         if place is not None:
             related.append(lsp.DiagnosticRelatedInformation(lsp.Location(uri_of(place[0].path), range_of(place[1])), label.text))
-    severity = lsp.DiagnosticSeverity.Error if found.severity == "error" else lsp.DiagnosticSeverity.Warning
-    idle = found.code.startswith("unused-")
+    severity = lsp.DiagnosticSeverity.Error if complaint.severity == "error" else lsp.DiagnosticSeverity.Warning
+    idle = complaint.code.startswith("unused-")
     return lsp.Diagnostic(
-        range_of(document.range(found.span)) if found.span is not None else lsp.Range(lsp.Position(0, 0), lsp.Position(0, 1)),
-        found.message + (f"\n{found.help}" if found.help else ""),
+        range_of(document.range(complaint.span))
+        if complaint.span is not None
+        else lsp.Range(lsp.Position(0, 0), lsp.Position(0, 1)),
+        complaint.message + (f"\n{complaint.help}" if complaint.help else ""),
         severity,
-        found.code,
+        complaint.code,
         source=SOURCE,
         related_information=related or None,
         tags=[lsp.DiagnosticTag.Unnecessary] if idle else None,
     )
 
 
-def item(found: Item, snippets: bool) -> lsp.CompletionItem:
-    snippet = found.snippet and snippets
-    insert = found.insert if found.insert and (snippet or not found.snippet) else None
+def item(proposal: Item, snippets: bool) -> lsp.CompletionItem:
+    snippet = proposal.snippet and snippets
+    insert = proposal.insert if proposal.insert and (snippet or not proposal.snippet) else None
     return lsp.CompletionItem(
-        found.label,
-        kind=_ITEMS[found.kind],
-        detail=found.detail or None,
-        documentation=lsp.MarkupContent(lsp.MarkupKind.Markdown, found.help) if found.help else None,
+        proposal.label,
+        kind=_ITEMS[proposal.kind],
+        detail=proposal.detail or None,
+        documentation=lsp.MarkupContent(lsp.MarkupKind.Markdown, proposal.help) if proposal.help else None,
         insert_text=insert,
         insert_text_format=lsp.InsertTextFormat.Snippet if snippet else lsp.InsertTextFormat.PlainText,
     )
 
 
-def symbol(document: Document, found: Symbol) -> lsp.DocumentSymbol:
-    name = document.range(found.name_span)
-    whole = document.range(found.span)
+def symbol(document: Document, entry: Symbol) -> lsp.DocumentSymbol:
+    name = document.range(entry.name_span)
+    full_range = document.range(entry.span)
     return lsp.DocumentSymbol(
-        found.name or "…",
-        _SYMBOLS[found.kind],
-        range_of((min(whole[0], name[0]), max(whole[1], name[1]))),
+        entry.name or "…",
+        _SYMBOLS[entry.kind],
+        range_of((min(full_range[0], name[0]), max(full_range[1], name[1]))),
         range_of(name),
-        found.detail or None,
-        children=[symbol(document, each) for each in found.inner],
+        entry.detail or None,
+        children=[symbol(document, each) for each in entry.inner],
     )
 
 
-def fold(found: Fold) -> lsp.FoldingRange:
-    kind = lsp.FoldingRangeKind.Comment if found.comment else lsp.FoldingRangeKind.Region
-    return lsp.FoldingRange(found.first, found.last, kind=kind)
+def fold(region: Fold) -> lsp.FoldingRange:
+    kind = lsp.FoldingRangeKind.Comment if region.comment else lsp.FoldingRangeKind.Region
+    return lsp.FoldingRange(region.first, region.last, kind=kind)
 
 
-def hint(document: Document, found: Hint) -> lsp.InlayHint:
-    start, end = document.range(found.span)
-    line, column = start if found.before else end
+def hint(document: Document, inlay: Hint) -> lsp.InlayHint:
+    start, end = document.range(inlay.span)
+    line, column = start if inlay.is_before else end
     return lsp.InlayHint(
-        lsp.Position(line, column), found.text, tooltip=found.help, padding_left=not found.before, padding_right=found.before
+        lsp.Position(line, column),
+        inlay.text,
+        tooltip=inlay.help,
+        padding_left=not inlay.is_before,
+        padding_right=inlay.is_before,
     )
 
 
@@ -103,11 +109,11 @@ def changes(edits: dict[Path, list[lsp.TextEdit]], uris: dict[Path, str]) -> lsp
     return lsp.WorkspaceEdit(changes={uris.get(path, uri_of(path)): each for path, each in edits.items()})
 
 
-def action(workspace: Workspace, document: Document, found: Action, uri: str) -> lsp.CodeAction:
+def action(workspace: Workspace, document: Document, fix: Action, uri: str) -> lsp.CodeAction:
     return lsp.CodeAction(
-        found.title,
+        fix.title,
         kind=lsp.CodeActionKind.QuickFix,
-        diagnostics=[diagnostic(workspace, document, found.complaint)],
+        diagnostics=[diagnostic(workspace, document, fix.complaint)],
         is_preferred=True,
-        edit=lsp.WorkspaceEdit(changes={uri: text_edits(document, [found.edit])}),
+        edit=lsp.WorkspaceEdit(changes={uri: text_edits(document, [fix.edit])}),
     )

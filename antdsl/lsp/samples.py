@@ -77,7 +77,7 @@ _PLAIN_FORMS = {
 }
 CALL_FORMS = {
     **_PLAIN_FORMS,
-    **{row.name: row.sample for row in senses.spoken("call") if row.sample},
+    **{row.name: row.sample for row in senses.find_words("call") if row.sample},
     **{row.op: row.sample for row in set_senses.SET_SENSES.values()},
 }
 SET_FORMS = {
@@ -99,7 +99,7 @@ VALUE_FORMS = {
     "dt": "exp(-dt / 2 s)",
     "time": "when time > 10 s -> rest",
     "frame": "when frame == 120 -> rest",
-    **{row.name: row.sample for row in senses.spoken("name")},
+    **{row.name: row.sample for row in senses.find_words("name")},
     "into": "carve hill(radius: 2 mm, into: soil)",
     "other": "sooner: total(food.load) == 0",
     "at_start": "always: total(food.load) <= at_start",

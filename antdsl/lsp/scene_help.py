@@ -101,9 +101,9 @@ def _keys(workspace: Workspace, document: Document, path: tuple[str, ...], line:
     elif path == ("output", "attributes"):
         yield from (Item(name, "property", "attribute of a frame") for name in FRAME_ATTRIBUTES)
     else:
-        found = next((_PARTS[part] for part in reversed(path) if part in _PARTS), None)
-        if found is not None:
-            yield from _fields(found)
+        part_model = next((_PARTS[part] for part in reversed(path) if part in _PARTS), None)
+        if part_model is not None:
+            yield from _fields(part_model)
 
 
 def _fields(part: type[model.Part]) -> Iterator[Item]:
@@ -128,7 +128,7 @@ def _world(workspace: Workspace, document: Document, path: tuple[str, ...]) -> I
             for each in thing.attributes:
                 yield Item(each.name.text, "property", f"value of {path[1]}", "", f"{each.name.text}: ")
         return
-    for head, (_, part) in model.HEADS.items():
+    for head, (_, part) in model.THING_MODELS.items():
         yield Item(head, "property", "says what it is", SCENE_HELP.get(head, ""), f"{head}: ")
         if head == "mesh":
             yield from _fields(part)

@@ -10,7 +10,7 @@ from typing import Any
 from antdsl.bounded import real_path
 from antdsl.lsp.names import Occurrence
 from antdsl.program.names.bindings import Key
-from antdsl.program.tables.vocabulary import ITEM_GIVEN
+from antdsl.program.tables.vocabulary import ITEM_ATTRIBUTES
 from antdsl.scene.document import MappingNode, Node, ScalarNode, SequenceNode, read_document
 from antdsl.scene.model import FILE_HEADS, ItemThing
 from antdsl.source import Source, Span
@@ -88,7 +88,7 @@ def _item(index: SceneIndex, thing: str, node: Node, things: set[str]) -> None:
 
 
 def _attributes(index: SceneIndex, thing: str, node: Node) -> None:
-    known = {*ItemThing.model_fields, *ITEM_GIVEN}
+    known = {*ItemThing.model_fields, *ITEM_ATTRIBUTES}
     for word, span, _ in _mapping(node):
         if word not in known:
             index.say(span, ("attribute", thing, word))

@@ -22,7 +22,7 @@ from antdsl.lsp.features.context import begins_line
 from antdsl.lsp.features.describe import describe
 from antdsl.lsp.features.formatting import formatted
 from antdsl.lsp.features.hints import hints
-from antdsl.lsp.features.navigation import Found, Refused, definition, meant, references, renamable, rename
+from antdsl.lsp.features.navigation import NameLocation, Refused, definition, meant, references, renamable, rename
 from antdsl.lsp.features.outline import folds, symbols
 from antdsl.lsp.language import keyword
 from antdsl.lsp.scene_help import complete_scene
@@ -49,22 +49,24 @@ class Server(LanguageServer):
 
     def path(self, uri: str) -> Path:
         """Return the path behind a URI; a document that is no file yet gets a separate one in the current folder."""
-        found = path_of(uri)
-        if found is None:
+        file_path = path_of(uri)
+        if file_path is None:
             name = "".join(c if c.isalnum() or c in "._-" else "_" for c in uri)
-            found = Path.cwd() / (name if name.endswith((".ant", ".yaml", ".yml")) else f"{name}.ant")
-        return found
+            file_path = Path.cwd() / (name if name.endswith((".ant", ".yaml", ".yml")) else f"{name}.ant")
+        return file_path
 
     def document(self, uri: str) -> Document | None:
         return self.files.document(self.path(uri))
 
-    def location(self, found: Found) -> lsp.Location:
-        path = found.document.path
-        return lsp.Location(self.uris.get(path, uri_of(path)), protocol.range_of(found.range))
+    def location(self, target: NameLocation) -> lsp.Location:
+        path = target.document.path
+        return lsp.Location(self.uris.get(path, uri_of(path)), protocol.range_of(target.range))
 
     def snippets(self) -> bool:
-        about = self.client_capabilities.text_document
-        item = about.completion.completion_item if about is not None and about.completion is not None else None
+        capabilities = self.client_capabilities.text_document
+        item = (
+            capabilities.completion.completion_item if capabilities is not None and capabilities.completion is not None else None
+        )
         return bool(item is not None and item.snippet_support)
 
     # --- complaints ---
@@ -89,11 +91,11 @@ class Server(LanguageServer):
         if document is None or path not in self.uris:
             return
         try:
-            found = [protocol.diagnostic(self.files, document, each) for each in self.files.complaints(path)]
+            diagnostics = [protocol.diagnostic(self.files, document, each) for each in self.files.complaints(path)]
         except Exception:  # a bug of ours must not end an editor's session
             _log.exception("cannot check %s", path)
             return
-        self.text_document_publish_diagnostics(lsp.PublishDiagnosticsParams(self.uris[path], found, document.version))
+        self.text_document_publish_diagnostics(lsp.PublishDiagnosticsParams(self.uris[path], diagnostics, document.version))
 
 
 server = Server()
@@ -123,9 +125,9 @@ def _initialized(ls: Server, params: lsp.InitializedParams) -> None:
 
 @server.feature(lsp.WORKSPACE_DID_CHANGE_WORKSPACE_FOLDERS)
 def _folders(ls: Server, params: lsp.DidChangeWorkspaceFoldersParams) -> None:
-    gone = {path_of(folder.uri) for folder in params.event.removed}
+    removed_paths = {path_of(folder.uri) for folder in params.event.removed}
     added = [path for folder in params.event.added if (path := path_of(folder.uri)) is not None]
-    ls.files.roots = [root for root in ls.files.roots if root not in gone] + added
+    ls.files.roots = [root for root in ls.files.roots if root not in removed_paths] + added
     ls.files.search_again()
 
 
@@ -216,9 +218,9 @@ def _markdown(text: str) -> lsp.MarkupContent:
 @server.feature(lsp.TEXT_DOCUMENT_COMPLETION, lsp.CompletionOptions(trigger_characters=[".", ">", "(", " ", ":", "/", ",", "{"]))
 def _completion(ls: Server, params: lsp.CompletionParams) -> lsp.CompletionList | None:
     def answer(document: Document, offset: int) -> lsp.CompletionList:
-        found = complete(ls.files, document, offset) if document.is_program else complete_scene(ls.files, document, offset)
+        proposals = complete(ls.files, document, offset) if document.is_program else complete_scene(ls.files, document, offset)
         snippets = ls.snippets()
-        return lsp.CompletionList(False, [protocol.item(each, snippets) for each in found])
+        return lsp.CompletionList(False, [protocol.item(each, snippets) for each in proposals])
 
     return _at(ls, params, answer)
 
@@ -239,8 +241,8 @@ def _references(ls: Server, params: lsp.ReferenceParams) -> list[lsp.Location] |
 @server.feature(lsp.TEXT_DOCUMENT_DOCUMENT_HIGHLIGHT)
 def _highlight(ls: Server, params: lsp.DocumentHighlightParams) -> list[lsp.DocumentHighlight] | None:
     def answer(document: Document, offset: int) -> list[lsp.DocumentHighlight]:
-        found = references(ls.files, document, offset)
-        return [lsp.DocumentHighlight(protocol.range_of(each.range)) for each in found if each.document is document]
+        locations = references(ls.files, document, offset)
+        return [lsp.DocumentHighlight(protocol.range_of(each.range)) for each in locations if each.document is document]
 
     return _at(ls, params, answer)
 
@@ -260,11 +262,11 @@ def _prepare(ls: Server, params: lsp.PrepareRenameParams) -> lsp.Range | None:
 def _rename(ls: Server, params: lsp.RenameParams) -> lsp.WorkspaceEdit | None:
     def answer(document: Document, offset: int) -> lsp.WorkspaceEdit:
         try:
-            places = rename(ls.files, document, offset, params.new_name)
+            locations = rename(ls.files, document, offset, params.new_name)
         except Refused as why:
             raise JsonRpcInvalidParams(str(why)) from None
         edits: dict[Path, list[lsp.TextEdit]] = {}
-        for each in places:
+        for each in locations:
             edits.setdefault(each.document.path, []).append(lsp.TextEdit(protocol.range_of(each.range), params.new_name))
         return protocol.changes(edits, ls.uris)
 
@@ -308,8 +310,8 @@ def _hints(ls: Server, params: lsp.InlayHintParams) -> list[lsp.InlayHint]:
     document = ls.document(params.text_document.uri)
     if document is None or not document.is_program:
         return []
-    found = [protocol.hint(document, each) for each in hints(ls.files, document)]
-    return [each for each in found if params.range.start.line <= each.position.line <= params.range.end.line]
+    all_hints = [protocol.hint(document, each) for each in hints(ls.files, document)]
+    return [each for each in all_hints if params.range.start.line <= each.position.line <= params.range.end.line]
 
 
 @server.feature(lsp.TEXT_DOCUMENT_CODE_ACTION, lsp.CodeActionOptions([lsp.CodeActionKind.QuickFix]))
@@ -319,8 +321,8 @@ def _actions(ls: Server, params: lsp.CodeActionParams) -> list[lsp.CodeAction]:
         return []
     start, end = params.range.start, params.range.end
     text = document.text
-    found = actions(ls.files, document, text.offset(start.line, start.character), text.offset(end.line, end.character))
-    return [protocol.action(ls.files, document, each, params.text_document.uri) for each in found]
+    fixes = actions(ls.files, document, text.offset(start.line, start.character), text.offset(end.line, end.character))
+    return [protocol.action(ls.files, document, each, params.text_document.uri) for each in fixes]
 
 
 @server.feature(lsp.TEXT_DOCUMENT_FORMATTING)

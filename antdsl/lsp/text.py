@@ -67,8 +67,8 @@ class Text:
     def place(self, offset: int) -> Place:
         offset = max(0, min(offset, len(self.text)))
         line = bisect_right(self.starts, offset) - 1
-        before = self.text[self.starts[line] : offset]
-        return line, len(before) if before.isascii() else self.units(before)
+        prefix = self.text[self.starts[line] : offset]
+        return line, len(prefix) if prefix.isascii() else self.units(prefix)
 
     def range(self, start: int, end: int) -> Range:
         return self.place(start), self.place(max(start, end))

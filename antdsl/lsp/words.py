@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from antdsl.program.tables.effects import EFFECTS
-from antdsl.program.tables.senses import spoken
+from antdsl.program.tables.senses import find_words
 from antdsl.program.tables.things import KINDS_OF_THINGS
 
 STATE_WORD_HELP = {
@@ -20,7 +20,7 @@ WORD_HELP = {
     "dt": "how long one step lasts",
     "time": "seconds up to the frame that is made: `frame` times `dt`",
     "frame": "the number of the frame that is made",
-    **{row.name: row.help for row in spoken("name")},
+    **{row.name: row.help for row in find_words("name")},
     "into": "the attribute that takes what is dug out",
     "other": "what a number is in the run that the spec compares with",
     "at_start": "what the other side of the comparison was at the start",

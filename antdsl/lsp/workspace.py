@@ -89,9 +89,9 @@ class Document:
         """Every name in the document; built again where a check of it gave other bindings."""
         bindings = self.resolve(self.path) if self.is_program else NO_BINDINGS
         if self._index is None or self._index[0] is not bindings:
-            found = occurrences(self.names, bindings) if self.is_program else self.scene.occurrences
-            found = sorted(found, key=lambda each: self.start(each.span))
-            self._index = bindings, Index(found, [self.start(each.span) for each in found])
+            name_occurrences = occurrences(self.names, bindings) if self.is_program else self.scene.occurrences
+            name_occurrences = sorted(name_occurrences, key=lambda each: self.start(each.span))
+            self._index = bindings, Index(name_occurrences, [self.start(each.span) for each in name_occurrences])
         return self._index[1]
 
     @property
@@ -100,20 +100,20 @@ class Document:
 
     @cached_property
     def scene(self) -> SceneIndex:
-        made = scene_index(self.path, self.text.text)
-        if made.document is None and self.earlier is not None:
-            made.files, made.items, made.fps = self.earlier.files, self.earlier.items, self.earlier.fps
-        return made
+        index = scene_index(self.path, self.text.text)
+        if index.document is None and self.earlier is not None:
+            index.files, index.items, index.fps = self.earlier.files, self.earlier.items, self.earlier.fps
+        return index
 
     def start(self, span: Span) -> int:
         """Return the start offset of a span in this document's text."""
-        return self._whole(span).start
+        return self._full_span(span).start
 
     def end(self, span: Span) -> int:
-        return self._whole(span).end
+        return self._full_span(span).end
 
-    def _whole(self, span: Span) -> Span:
-        return self.parsed[0].whole(span) if self.is_program else span
+    def _full_span(self, span: Span) -> Span:
+        return self.parsed[0].file_span(span) if self.is_program else span
 
     def range(self, span: Span) -> Range:
         return self.text.range(self.start(span), self.end(span))
@@ -121,13 +121,13 @@ class Document:
     def at(self, offset: int) -> list[Occurrence]:
         """Return the names at an offset. A name that starts at or covers the offset precedes one that ends there."""
         index = self.index
-        found: list[Occurrence] = []
+        name_occurrences: list[Occurrence] = []
         for number in range(bisect_right(index.starts, offset) - 1, -1, -1):
             each = index.occurrences[number]
-            if self.end(each.span) < offset or len(found) > _MOST:
+            if self.end(each.span) < offset or len(name_occurrences) > _MOST:
                 break
-            found.insert(0, each)
-        return sorted(found, key=lambda each: self.end(each.span) == offset)
+            name_occurrences.insert(0, each)
+        return sorted(name_occurrences, key=lambda each: self.end(each.span) == offset)
 
     def word(self, offset: int) -> tuple[int, int]:
         """Where the word at an offset begins and ends."""
@@ -169,9 +169,9 @@ class Workspace:
         return document
 
     def change(self, path: Path, text: Text, version: int | None) -> Document:
-        before = self.open.get(path)
-        earlier = before.scene if before is not None and not before.is_program else None
-        parts = before.parts if before is not None else Parts()
+        previous_document = self.open.get(path)
+        earlier = previous_document.scene if previous_document is not None and not previous_document.is_program else None
+        parts = previous_document.parts if previous_document is not None else Parts()
         document = self.open[path] = Document(path, text, self.bindings, None, version, earlier, parts)
         return document
 
@@ -183,9 +183,9 @@ class Workspace:
 
     def document(self, path: Path) -> Document | None:
         """Return a file as in the editor, or else as on disk; None when it cannot be read."""
-        found = self.open.get(path)
-        if found is not None:
-            return found
+        open_document = self.open.get(path)
+        if open_document is not None:
+            return open_document
         try:
             status = os.stat(path)
         except (OSError, ValueError):
@@ -243,13 +243,13 @@ class Workspace:
 
     def parsed(self, path: Path) -> Parsed:
         """Return the cached parse results for the chain. Documents open in the editor have priority."""
-        found: Parsed = {}
+        programs: Parsed = {}
         for each in {*self.open, *self.linked(path), *self._libraries()}:
             document = self.document(each)
             if document is not None and document.is_program:
                 file, report = document.parsed
-                found[str(each)] = (file, report)
-        return found
+                programs[str(each)] = (file, report)
+        return programs
 
     def _libraries(self) -> list[Path]:
         from antdsl.resources import behaviours_folder
@@ -258,8 +258,8 @@ class Workspace:
 
     def _check_program(self, document: Document) -> Checked:
         # a text that had to be read as a whole has nothing in common with the one before, which may come back
-        kept = document.path in self.open and document.parsed[0].parts
-        memo = self._memos.setdefault(document.path, Memo()) if kept else None
+        has_parts = document.path in self.open and document.parsed[0].parts
+        memo = self._memos.setdefault(document.path, Memo()) if has_parts else None
         program, report = compile_files([document.path], parsed=self.parsed(document.path), memo=memo)
         return Checked(program, None, report)
 
@@ -288,31 +288,31 @@ class Workspace:
 
     def linked(self, path: Path) -> list[Path]:
         """Return a file, the files that it names, and the files that those name."""
-        found: dict[Path, None] = {}
+        paths: dict[Path, None] = {}
         stack = [path]
         while stack:
             each = stack.pop()
-            if each in found or len(found) > limits.USED_FILES:
+            if each in paths or len(paths) > limits.USED_FILES:
                 continue
-            found[each] = None
+            paths[each] = None
             document = self.document(each)
             if document is not None:
                 stack += document.uses if document.is_program else document.scene.files
-        return list(found)
+        return list(paths)
 
     def family(self, path: Path) -> list[Path]:
         """Return all files in which a name of this file may occur: linked by `use`, or by scenes that use them together."""
         links = {each: set(self.linked(each)) for each in self.files()}
         links.setdefault(path, set(self.linked(path)))
-        found = set(links[path]) | {path}
+        members = set(links[path]) | {path}
         grown = True
         while grown:
             grown = False
             for linked in links.values():
-                if linked & found and not linked <= found:
-                    found |= linked
+                if linked & members and not linked <= members:
+                    members |= linked
                     grown = True
-        return sorted(found)
+        return sorted(members)
 
     def extending(self, path: Path) -> list[Path]:
         """Return a scene, the scenes that it extends, and all scenes that extend one of these."""
@@ -332,8 +332,8 @@ class Workspace:
         the editor reports a change."""
         now = monotonic()
         if now >= self._searched[0]:
-            found, _ = find_files(root for root in self.roots if root.is_dir())
-            real = [Path(os.path.realpath(each)) for each in found]
+            paths, _ = find_files(root for root in self.roots if root.is_dir())
+            real = [Path(os.path.realpath(each)) for each in paths]
             self._searched = (monotonic() + 20 * (monotonic() - now), real)
         return list(dict.fromkeys([*self.open, *self._searched[1]]))
 

@@ -18,7 +18,7 @@ from pathlib import Path
 
 from antdsl.child_processes import isolate
 from antdsl.machine_code import library, machine, shipped
-from antdsl.whole import write_whole
+from antdsl.whole import write_atomically
 
 _MOST = 8  # processes: each takes 200 MB, and two seconds to import what it compiles
 _Place = tuple[str, str]  # a module, and a name in it
@@ -31,24 +31,24 @@ def build(folder: Path, entries: Sequence[library.Entry], targets: Iterable[str]
 
     `entries` are kernels and texts; with several `processes`, those of the package."""
     keys: dict[str, dict[_Place, str]] = {}
-    done: dict[str, dict[str, bytes]] = {}
+    objects_by_target: dict[str, dict[str, bytes]] = {}
     for name in targets:
         target = shipped.TARGETS[name]
         stored = shipped.Objects(shipped.file_of(folder, name))
         keys[name] = {_place(each): shipped.key(named, target) for each in entries if (named := each.named(target))}
-        done[name] = {key: code for key in keys[name].values() if (code := stored.get(key)) is not None}
+        objects_by_target[name] = {key: code for key in keys[name].values() if (code := stored.get(key)) is not None}
     tasks: list[_Task] = []
     for each in entries:
         place = _place(each)
-        missing = tuple(name for name in keys if place in keys[name] and keys[name][place] not in done[name])
+        missing = tuple(name for name in keys if place in keys[name] and keys[name][place] not in objects_by_target[name])
         if missing:
             tasks.append((place, missing))
     for (place, names), codes in zip(tasks, _compiled(tasks, entries, processes), strict=True):
         for name, code in zip(names, codes, strict=True):
-            done[name][keys[name][place]] = code
+            objects_by_target[name][keys[name][place]] = code
     folder.mkdir(parents=True, exist_ok=True)
-    for name, codes_by_key in done.items():
-        write_whole(shipped.file_of(folder, name), shipped.packed(codes_by_key))
+    for name, codes_by_key in objects_by_target.items():
+        write_atomically(shipped.file_of(folder, name), shipped.packed(codes_by_key))
     shipped.forget()
     return sum(len(names) for _, names in tasks)
 
@@ -99,8 +99,8 @@ def main() -> int:
         return 1
     start = time.monotonic()
     entries = library.load()
-    there = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    count = build(shipped.FOLDER, entries, targets, min(there, _MOST))
+    core_count = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    count = build(shipped.FOLDER, entries, targets, min(core_count, _MOST))
     size = sum(shipped.file_of(shipped.FOLDER, name).stat().st_size for name in targets)
     words = f"{len(entries)} kernels and texts for {', '.join(targets)}: {size / 1e6:.1f} MB"
     print(f"{words}, {count} compiled in {time.monotonic() - start:.0f} s")

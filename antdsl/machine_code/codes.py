@@ -9,7 +9,7 @@ from threading import Lock
 
 from antdsl.machine_code import machine, object_cache, shipped
 
-_KEPT = 256  # functions with code in memory
+_MOST_FUNCTIONS = 256  # functions with code in memory
 _known: OrderedDict[str, machine.Code] = OrderedDict()
 _guard = Lock()
 
@@ -24,18 +24,18 @@ def code(named: str, write: Callable[[], str] | None = None) -> machine.Code:
             _known.move_to_end(key)
             return _known[key]
     stored = _stored(named, target, key)
-    made = machine.object_code(named if write is None else write(), target) if stored is None else stored
-    found = machine.load(made)
+    object_file = machine.object_code(named if write is None else write(), target) if stored is None else stored
+    loaded_code = machine.load(object_file)
     if stored is None:
-        _objects().put(key, made)
+        _objects().put(key, object_file)
     with _guard:
-        _known[key] = found
-        while len(_known) > _KEPT:
+        _known[key] = loaded_code
+        while len(_known) > _MOST_FUNCTIONS:
             _known.popitem(last=False)
-    return found
+    return loaded_code
 
 
-def kept(named: str) -> bool:
+def is_available(named: str) -> bool:
     """Return whether the code of a text, or of its name, is in memory or stored."""
     target = machine.host()
     key = object_cache.key(named, target, versions=object_cache.versions())
@@ -47,11 +47,11 @@ def kept(named: str) -> bool:
 
 def _stored(named: str, target: machine.Target, key: str) -> bytes | None:
     """Return the object file of a text: from the installation, or else from an earlier run, where it is stored under a key."""
-    found = shipped.find(named, target)
-    return _objects().get(key) if found is None else found
+    shipped_object = shipped.find(named, target)
+    return _objects().get(key) if shipped_object is None else shipped_object
 
 
-def told() -> list[str]:
+def messages() -> list[str]:
     """Return messages for the user on why stored code was not used, or why new code is not stored."""
     return shipped.messages() + (list(_objects().messages) if _objects.cache_info().currsize else [])
 

@@ -22,23 +22,23 @@ def entry(module: Module, name: str, body: str, line_table: str = "") -> str:
 def outer(module: Module, name: str) -> str:
     """Return the text of the function that is called from outside. It calls the function that does the work, named with `.inside`
     at the end."""
-    before, after = _x86(module) if module.target.x86 else _arm(module) if module.target.arm else ("", "")
+    prologue, epilogue = _x86(module) if module.target.x86 else _arm(module) if module.target.arm else ("", "")
     call = f"  call void @{name}.inside({ARGUMENTS})"
-    return f"define void @{name}({ARGUMENTS}) {{\nentry:\n{before}{call}\n{after}  ret void\n}}\n"
+    return f"define void @{name}({ARGUMENTS}) {{\nentry:\n{prologue}{call}\n{epilogue}  ret void\n}}\n"
 
 
 def _x86(module: Module) -> tuple[str, str]:
     module.declare("llvm.x86.sse.stmxcsr", "void", [PTR])
     module.declare("llvm.x86.sse.ldmxcsr", "void", [PTR])
-    before = (
+    prologue = (
         f"  %kept = alloca {I32}\n  %usual = alloca {I32}\n  store {I32} {_USUAL}, ptr %usual\n"
         "  call void @llvm.x86.sse.stmxcsr(ptr %kept)\n  call void @llvm.x86.sse.ldmxcsr(ptr %usual)\n"
     )
-    return before, "  call void @llvm.x86.sse.ldmxcsr(ptr %kept)\n"
+    return prologue, "  call void @llvm.x86.sse.ldmxcsr(ptr %kept)\n"
 
 
 def _arm(module: Module) -> tuple[str, str]:
     module.declare("llvm.aarch64.get.fpcr", I64, [])
     module.declare("llvm.aarch64.set.fpcr", "void", [I64])
-    before = f"  %kept = call {I64} @llvm.aarch64.get.fpcr()\n  call void @llvm.aarch64.set.fpcr({I64} 0)\n"
-    return before, f"  call void @llvm.aarch64.set.fpcr({I64} %kept)\n"
+    prologue = f"  %kept = call {I64} @llvm.aarch64.get.fpcr()\n  call void @llvm.aarch64.set.fpcr({I64} 0)\n"
+    return prologue, f"  call void @llvm.aarch64.set.fpcr({I64} %kept)\n"

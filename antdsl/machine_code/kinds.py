@@ -25,5 +25,5 @@ def literal(value: Any, kind: str) -> str:
         return f"0x{struct.unpack('>Q', struct.pack('>d', number))[0]:016X}"
     if kind == BOOL:
         return "true" if value else "false"
-    whole = int(value)
-    return str(whole - (1 << 64) if kind == I64 and whole >= 1 << 63 else whole)
+    integer = int(value)
+    return str(integer - (1 << 64) if kind == I64 and integer >= 1 << 63 else integer)

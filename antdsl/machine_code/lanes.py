@@ -90,48 +90,48 @@ class LaneBuilder(Vectors[Lanes]):
         self._begun.append(Instruction(op, output, operands, x, 0))
         return output
 
-    def end(self, name: str, arguments: Sequence[Number], *given: Number, attribute: str = "", outer: str = "") -> None:
+    def end(self, name: str, arguments: Sequence[Number], *results: Number, attribute: str = "", outer: str = "") -> None:
         """Add the function to the module, under a name. `outer` is the text of the function that calls it from outside."""
-        self.do("return", *given)
+        self.do("return", *results)
         self.blocks[0].body[:0] = self._begun
-        result, whole = given[0].type if given else "void", f"@{name}.inside" if outer else f"@{name}"
-        made = Function(whole, self.file, list(arguments), attribute, result, self.slots, self.blocks)
-        verify([made], self.module.made)
-        self.module.functions[name] = outer + function_text(made, self.module.declared)
-        self.module.made[whole] = replace(made, slots=[], blocks=[])
+        result, full_name = results[0].type if results else "void", f"@{name}.inside" if outer else f"@{name}"
+        definition = Function(full_name, self.file, list(arguments), attribute, result, self.slots, self.blocks)
+        verify([definition], self.module.made)
+        self.module.functions[name] = outer + function_text(definition, self.module.declared)
+        self.module.made[full_name] = replace(definition, slots=[], blocks=[])
         self.blocks, self._begun, self.known = [], [], []  # they refer to this
 
     @contextmanager
     def inside(self, condition: Lanes) -> Iterator[None]:
         """Write code that runs only where a single condition holds."""
-        then, done = self.label("then"), self.label("done")
-        self.branch(condition, then, done)
+        then, end = self.label("then"), self.label("done")
+        self.branch(condition, then, end)
         self.begin(then)
         self.known.append({})
         yield
         self.known.pop()
-        self.jump(done)
-        self.begin(done)
+        self.jump(end)
+        self.begin(end)
 
     @contextmanager
     def loop(self, count: Lanes | int, step: int = 1) -> Iterator[Lanes]:
         """Write a loop from 0 to below a single i64, by `step`; yield the loop number."""
-        head, body, done = self.label("head"), self.label("body"), self.label("done")
+        head, body, end = self.label("head"), self.label("body"), self.label("done")
         place = self.slot(I64)
         self.put(place, self.constant(0, I64, 1))
         self.jump(head)
         self.begin(head)
         number = self.load(place, I64)
-        self.branch(number < count, body, done)
+        self.branch(number < count, body, end)
         self.begin(body)
         self.known.append({})
         yield number
         self.known.pop()
         self.put(place, number + step)
         self.jump(head)
-        self.begin(done)
+        self.begin(end)
 
-    def once(self, key: Any, make: Callable[[], Any]) -> Any:
+    def get_or_make(self, key: Any, make: Callable[[], Any]) -> Any:
         """Return a value that this block or an enclosing one already has; otherwise make it now."""
         for names in reversed(self.known):
             if key in names:
@@ -225,7 +225,7 @@ class LaneBuilder(Vectors[Lanes]):
             row = "zext" if value.kind == BOOL else "sext"
         return self.op(row, kind, value)
 
-    def whole(self, value: Lanes) -> Lanes:
+    def to_int32(self, value: Lanes) -> Lanes:
         """Convert an integer in float64, below 2**31, to i32 by the bits of its sum with 1.5 * 2**52. Other values give an
         unspecified number, but never an undefined one."""
         return self.convert(self.bits(value + _MAGIC, I64), I32)
@@ -238,7 +238,7 @@ class LaneBuilder(Vectors[Lanes]):
         """The same bits as another kind of one width."""
         return self.op("bitcast", kind, value)
 
-    def some(self, mask: Lanes) -> Lanes:
+    def any_lane(self, mask: Lanes) -> Lanes:
         """Whether a condition holds in some lane."""
         return self.mask_bits(mask) != 0
 
@@ -290,8 +290,8 @@ class LaneBuilder(Vectors[Lanes]):
         """Store those of eight elements for which a condition holds. No other code may write to the eight meanwhile."""
         stored = self.as_stored(value)
         place = self.address(base, index, stored.kind)
-        before = self.op("load", stored.kind, place, x=", align 1", lanes=WIDTH)
-        self.do("store", self.where(mask, stored, before), place, x=", align 1")
+        old_value = self.op("load", stored.kind, place, x=", align 1", lanes=WIDTH)
+        self.do("store", self.where(mask, stored, old_value), place, x=", align 1")
 
     def as_stored(self, value: Lanes) -> Lanes:
         """Return a condition as a byte, any other value unchanged."""
@@ -363,7 +363,7 @@ def _fmod(e: LaneBuilder, a: Any, b: Any) -> Lanes:
     left, right = e.paired(a, b)
     result = e.slot(left.kind, WIDTH)
     e.put(result, left)
-    with e.inside(e.some(~(_unary("fabs")(e, left) < _unary("fabs")(e, right)))):
+    with e.inside(e.any_lane(~(_unary("fabs")(e, left) < _unary("fabs")(e, right)))):
         for lane in range(WIDTH):
             rest = e.op("frem", left.kind, e.one(left, lane), e.one(right, lane))
             e.put(e.address(result, lane, left.kind), rest)

@@ -43,8 +43,8 @@ def add(entry: Entry) -> None:
 def modules() -> list[str]:
     """The names of all modules of the package that have a kernel or a text, in order."""
     package = Path(antdsl.__file__).parent
-    found = [path for path in package.rglob("*.py") if _DECORATED.search(read_bounded(path, MIB))]
-    return sorted(".".join(path.relative_to(package.parent).with_suffix("").parts) for path in found)
+    paths = [path for path in package.rglob("*.py") if _DECORATED.search(read_bounded(path, MIB))]
+    return sorted(".".join(path.relative_to(package.parent).with_suffix("").parts) for path in paths)
 
 
 def load() -> list[Entry]:
@@ -53,10 +53,10 @@ def load() -> list[Entry]:
     for name in names:
         import_module(name)
     own = [each for each in list(_entries) if each.__module__.startswith(f"{antdsl.__name__}.")]
-    found = {(each.__module__, each.__name__): each for each in own}
-    if len(found) < len(own):
+    entries = {(each.__module__, each.__name__): each for each in own}
+    if len(entries) < len(own):
         raise ValueError("two kernels of a module have one name")
-    return [found[place] for place in sorted(found)]
+    return [entries[place] for place in sorted(entries)]
 
 
 class LibraryText:
@@ -78,6 +78,6 @@ class LibraryText:
 
 def library_text(write: Callable[[machine.Target], str]) -> LibraryText:
     """A text of the package, of a function that writes it for a target."""
-    found = LibraryText(write)
-    add(found)
-    return found
+    entry = LibraryText(write)
+    add(entry)
+    return entry

@@ -18,7 +18,7 @@ if hasattr(os, "register_at_fork"):  # a process that was forked amid LLVM's wor
     os.register_at_fork(before=_LOCK.acquire, after_in_parent=_LOCK.release, after_in_child=_LOCK.release)
 _NUMBERS = re.compile("[0-9]+")
 _OLDEST = (0, 45)  # of llvmlite, which reads what is written here
-WHOLE = "whole"  # text that begins with this as a remark is gone over by all passes of LLVM
+ALL_PASSES = "whole"  # text that begins with this as a remark is gone over by all passes of LLVM
 _FUSED = ("fma", "fma4", "avx512f")  # what no instruction may come from, so that none can be fused
 # Of processors with registers of 512 bits those since 2019: from there on their use slows nothing down. They imply `fma`, which
 # nothing that is written here asks for.
@@ -124,8 +124,8 @@ def assembly(text: str, target: Target) -> str:
     """Compile a text to assembly."""
     with _LOCK:
         machine, module = _passed(text, target)
-        found: str = machine.emit_assembly(module)
-        return found
+        assembly_text: str = machine.emit_assembly(module)
+        return assembly_text
 
 
 def _passed(text: str, target: Target) -> tuple[Any, Any]:
@@ -135,12 +135,12 @@ def _passed(text: str, target: Target) -> tuple[Any, Any]:
     module = llvm.parse_assembly(text)
     module.triple, module.data_layout = target.triple, str(machine.target_data)
     module.verify()
-    whole = text.startswith(f"; {WHOLE}")
-    options = llvm.create_pipeline_tuning_options(speed_level=2 if whole else 0)
-    if whole:
+    runs_all_passes = text.startswith(f"; {ALL_PASSES}")
+    options = llvm.create_pipeline_tuning_options(speed_level=2 if runs_all_passes else 0)
+    if runs_all_passes:
         options.loop_vectorization = options.slp_vectorization = True
     builder = llvm.create_pass_builder(machine, options)
-    if whole:
+    if runs_all_passes:
         builder.getModulePassManager().run(module, builder)
         return machine, module
     passes = builder.getFunctionPassManager()
@@ -179,17 +179,17 @@ class Code:
 
     def place(self, name: str) -> int:
         """The address of a function."""
-        found: int = self._engine.get_function_address(name)
-        return found
+        location: int = self._engine.get_function_address(name)
+        return location
 
-    def told(self, name: str) -> str:
+    def read_text(self, name: str) -> str:
         """The text of a constant."""
         return ctypes.string_at(self.constant(name)).decode("utf-8", "surrogateescape")
 
     def constant(self, name: str) -> int:
         """Return the address of a constant, or of another symbol that is not a function."""
-        found: int = self._engine.get_global_value_address(name)
-        return found
+        location: int = self._engine.get_global_value_address(name)
+        return location
 
 
 def load(code: bytes) -> Code:

@@ -17,33 +17,33 @@ _place_of = ctypes.addressof
 
 def roomy(array: NDArray[Any]) -> NDArray[Any]:
     """Return a copy followed by eight spare rows of zeros."""
-    whole = np.zeros((len(array) + WIDTH, *array.shape[1:]), array.dtype)
-    whole[: len(array)] = array
-    found: NDArray[Any] = whole[: len(array)]
-    return found
+    padded = np.zeros((len(array) + WIDTH, *array.shape[1:]), array.dtype)
+    padded[: len(array)] = array
+    view: NDArray[Any] = padded[: len(array)]
+    return view
 
 
 def roomy_rows(array: NDArray[Any], rows: NDArray[np.intp]) -> NDArray[Any]:
     """Return the selected numbers of an array [n], followed by eight spare zeros."""
-    found = roomy_space(len(rows), array.dtype)
-    array.take(rows, out=found, mode="clip")
-    return found
+    output = roomy_space(len(rows), array.dtype)
+    array.take(rows, out=output, mode="clip")
+    return output
 
 
 def roomy_space(count: int, dtype: np.dtype[Any]) -> NDArray[Any]:
     """Return an uninitialised array [count], followed by eight spare zeros."""
-    whole = np.empty(count + WIDTH, dtype)
-    whole[count:] = 0
-    found: NDArray[Any] = whole[:count]
-    return found
+    padded = np.empty(count + WIDTH, dtype)
+    padded[count:] = 0
+    view: NDArray[Any] = padded[:count]
+    return view
 
 
 def has_room(array: NDArray[Any]) -> bool:
     """Return whether an array is the start of one with eight more rows."""
-    whole = array.base
-    if not isinstance(whole, np.ndarray) or whole.ndim != 1 or whole.dtype != array.dtype or not array.flags.c_contiguous:
+    padded = array.base
+    if not isinstance(padded, np.ndarray) or padded.ndim != 1 or padded.dtype != array.dtype or not array.flags.c_contiguous:
         return False
-    return len(whole) >= len(array) + WIDTH and address(whole) == address(array)
+    return len(padded) >= len(array) + WIDTH and address(padded) == address(array)
 
 
 def address(array: NDArray[Any]) -> int:
@@ -54,8 +54,8 @@ def address(array: NDArray[Any]) -> int:
         pass
     if not array.flags.c_contiguous:
         raise ValueError("machine code reads arrays that lie in one piece")
-    found: int = array.ctypes.data
-    return found
+    location: int = array.ctypes.data
+    return location
 
 
 class Addresses:

@@ -25,7 +25,7 @@ from antdsl.diagnostics.model import printable
 from antdsl.limits import MIB
 from antdsl.machine_code import signing
 from antdsl.user_folders import cache_folder
-from antdsl.whole import PART, write_whole
+from antdsl.whole import PART, write_atomically
 
 if TYPE_CHECKING:
     from antdsl.machine_code.machine import Target
@@ -53,7 +53,7 @@ class Kind(NamedTuple):
     used: str  # what is done with it, and only where it is signed
     unit: str  # what one result is of
     again: str  # what each run does without a store
-    anew: str  # what is done where a file is not used
+    fallback: str  # what is done where a file is not used
 
 
 CODE: Final = Kind(
@@ -206,7 +206,7 @@ class ObjectCache:
         if not self._make(folder):
             return False
         try:
-            write_whole(folder / name, data, sync=False)
+            write_atomically(folder / name, data, sync=False)
             _make_room(folder, self._cap, name)
         except (OSError, ValueError) as problem:
             self._report_not_stored(folder, _words(problem), self._advice(problem))
@@ -231,10 +231,10 @@ class ObjectCache:
         with suppress(OSError, ValueError):
             os.unlink(path)
         kind = self._kind
-        self._report(f"{kind.name} in {_shown(path.parent)} {kind.verb} not used: {why}; {kind.anew}")
+        self._report(f"{kind.name} in {_quote(path.parent)} {kind.verb} not used: {why}; {kind.fallback}")
 
     def _report_not_stored(self, folder: Path, why: str, advice: str) -> None:
-        self._report(f"{self._kind.name} {self._kind.verb} not stored in {_shown(folder)}: {why}; {advice}")
+        self._report(f"{self._kind.name} {self._kind.verb} not stored in {_quote(folder)}: {why}; {advice}")
 
     def _report(self, sentence: str) -> None:
         with self._lock:
@@ -248,20 +248,20 @@ def _make_room(folder: Path, cap: int, keep: str) -> None:
     Files with other names stay. Files that another run removes meanwhile, or that belong to another user of a shared folder, are
     skipped."""
     stored_name = re.compile(f"[0-9a-f]{{64}}{re.escape(Path(keep).suffix)}")
-    found: list[tuple[int, str, int]] = []
+    stored_files: list[tuple[int, str, int]] = []
     with os.scandir(folder) as entries:
         for entry in entries:
             stored = stored_name.fullmatch(entry.name)
             if not (stored or _LEFT_OVER.fullmatch(entry.name)):
                 continue
             with suppress(OSError):
-                about = entry.stat(follow_symlinks=False)
+                file_stat = entry.stat(follow_symlinks=False)
                 if stored:
-                    found.append((about.st_mtime_ns, entry.name, about.st_size))
-                elif time.time() - about.st_mtime > _ABANDONED:
+                    stored_files.append((file_stat.st_mtime_ns, entry.name, file_stat.st_size))
+                elif time.time() - file_stat.st_mtime > _ABANDONED:
                     os.unlink(entry.path)
-    above = sum(size for _, _, size in found) - cap
-    for _, name, size in sorted(found):
+    above = sum(size for _, _, size in stored_files) - cap
+    for _, name, size in sorted(stored_files):
         if above <= 0:
             break
         if name != keep:
@@ -283,5 +283,5 @@ def _words(problem: OSError | ValueError) -> str:
     return "no folder has such a name"  # one with a zero character
 
 
-def _shown(path: Path) -> str:
+def _quote(path: Path) -> str:
     return "`" + printable(str(path)) + "`"

@@ -109,6 +109,6 @@ def machine_id() -> str:
         return ""
     for path in _MACHINE_IDS:
         with suppress(OSError):
-            if found := read_bounded(path, 4096).decode("ascii", "replace").strip():
-                return found
+            if identifier := read_bounded(path, 4096).decode("ascii", "replace").strip():
+                return identifier
     return ""

@@ -13,18 +13,18 @@ from __future__ import annotations
 from functools import cache
 
 from antdsl.machine_code import machine
-from antdsl.machine_code.kernels.direct_text import GIVEN, PARTS, RESULTS, WORDS
+from antdsl.machine_code.kernels.direct_text import PARTS, RESULTS, RESULTS_WORD, WORDS
 from antdsl.machine_code.library import library_text
 
 LINE = 8  # words of a cache line: values that several threads write to have separate lines
 # Places in a pool's words. `left` and `done` of a job; `waits`: whether the one who asks sleeps.
-LEFT, DONE, WAITS = 0, LINE, 2 * LINE
+LEFT, DONE_COUNT, WAITS = 0, LINE, 2 * LINE
 # The job: its code, its table or list, the words of a table, its parts, and the numbers of which each part takes some.
 CODE, TABLE, LENGTH, OF, COUNT = range(3 * LINE, 3 * LINE + 5)
 # What stays: how many workers, turns before one sleeps, the lock of who asks, functions that take and release a lock; and `END`,
 # whether workers are to go.
 WORKERS, TURNS, LOCK, ACQUIRE, RELEASE, END = range(4 * LINE, 4 * LINE + 6)
-SLEEPS = GIVEN + PARTS * RESULTS  # for each worker whether it sleeps, and its lock
+SLEEPS = RESULTS_WORD + PARTS * RESULTS  # for each worker whether it sleeps, and its lock
 EVEN = 16  # parts of a kernel begin at multiples of it: at whole registers, and lines of what they write
 
 
@@ -46,17 +46,34 @@ def text(target: machine.Target) -> str:
     pause = (
         "  call void @llvm.x86.sse2.pause()\n" if target.x86 else "  call void @llvm.aarch64.hint(i32 1)\n" if target.arm else ""
     )
-    found = _TEXT.replace("$PAUSE$", pause)
+    output = _TEXT.replace("$PAUSE$", pause)
     if pause:
-        found += "declare void @llvm.x86.sse2.pause()\n" if target.x86 else "declare void @llvm.aarch64.hint(i32)\n"
-    for name, place in _PLACES.items():
-        found = found.replace(f"${name}$", str(place))
-    return found
+        output += "declare void @llvm.x86.sse2.pause()\n" if target.x86 else "declare void @llvm.aarch64.hint(i32)\n"
+    for name, place in _OFFSETS.items():
+        output = output.replace(f"${name}$", str(place))
+    return output
 
 
-_PLACES = {
-    **{"LEFT": LEFT, "DONE": DONE, "WAITS": WAITS, "CODE": CODE, "TABLE": TABLE, "LENGTH": LENGTH, "OF": OF, "COUNT": COUNT},
-    **{"WORKERS": WORKERS, "TURNS": TURNS, "LOCK": LOCK, "ACQUIRE": ACQUIRE, "RELEASE": RELEASE, "END": END, "GIVEN": GIVEN},
+_OFFSETS = {
+    **{
+        "LEFT": LEFT,
+        "DONE": DONE_COUNT,
+        "WAITS": WAITS,
+        "CODE": CODE,
+        "TABLE": TABLE,
+        "LENGTH": LENGTH,
+        "OF": OF,
+        "COUNT": COUNT,
+    },
+    **{
+        "WORKERS": WORKERS,
+        "TURNS": TURNS,
+        "LOCK": LOCK,
+        "ACQUIRE": ACQUIRE,
+        "RELEASE": RELEASE,
+        "END": END,
+        "GIVEN": RESULTS_WORD,
+    },
     **{"SLEEPS": SLEEPS, "LINE": LINE, "RESULTS": RESULTS, "WORDS": WORDS, "EVEN": -EVEN},
 }
 _TEXT = """; whole

@@ -19,8 +19,8 @@ from numpy.typing import NDArray
 
 from antdsl.machine_code import machine
 from antdsl.machine_code.entries import entry
-from antdsl.machine_code.kernels.direct import Wanted, direct
-from antdsl.machine_code.kernels.direct_text import RESULTS, WHOLE
+from antdsl.machine_code.kernels.direct import ArgumentSpec, direct
+from antdsl.machine_code.kernels.direct_text import INTEGER, RESULTS
 from antdsl.machine_code.library import library_text
 from antdsl.machine_code.memory import address
 from antdsl.machine_code.module import Module
@@ -31,19 +31,19 @@ _REGISTERS = 4  # read at once
 _ALL = 0xFFFFFFFF
 _POLYNOMIAL = 0x104C11DB7
 _BYTE = np.dtype(np.uint8)
-_DATA, _LENGTH, _BEFORE = RESULTS, RESULTS + 1, RESULTS + 2  # words of a call's table; the first is what is given back
-_Words = ctypes.c_int64 * (_BEFORE + 1)
+_DATA, _LENGTH, _PREVIOUS_CRC = RESULTS, RESULTS + 1, RESULTS + 2  # words of a call's table; the first is what is given back
+_Words = ctypes.c_int64 * (_PREVIOUS_CRC + 1)
 _FEATURE, _WIDE = "+pclmul", ("+vpclmulqdq", "+avx512vbmi2")  # as LLVM names them; the wide ones are used where `machine` does
 
 
-def crc32(data: bytes | memoryview, before: int = 0) -> int:
-    """Return the CRC-32 of `data` (contiguous bytes). With `before`, the CRC-32 of the preceding bytes, return that of both
+def crc32(data: bytes | memoryview, previous_crc: int = 0) -> int:
+    """Return the CRC-32 of `data` (contiguous bytes). With `previous_crc`, the CRC-32 of the preceding bytes, return that of both
     together."""
     data = memoryview(data).cast("B")
     if len(data) < LEAST:
-        return zlib.crc32(data, before)
+        return zlib.crc32(data, previous_crc)
     fold = _fold()
-    return zlib.crc32(data, before) if fold is None else fold(np.frombuffer(data, _BYTE), before)
+    return zlib.crc32(data, previous_crc) if fold is None else fold(np.frombuffer(data, _BYTE), previous_crc)
 
 
 @cache
@@ -58,14 +58,14 @@ def _fold() -> Callable[[NDArray[np.uint8], int], int] | None:
     code = text.code()
     function = code.function("fold")  # what is called lies in `code`
 
-    def fold(data: NDArray[np.uint8], before: int) -> int:
-        table = _Words(*[0] * _DATA, address(data), len(data), before)
+    def fold(data: NDArray[np.uint8], previous_crc: int) -> int:
+        table = _Words(*[0] * _DATA, address(data), len(data), previous_crc)
         function(ctypes.addressof(table), 0, 0)
         return table[0]
 
     fold.code = code  # type: ignore[attr-defined]
-    wanted = [Wanted((0,), _DATA, dtype=_BYTE, axes=1), Wanted((1,), _BEFORE, WHOLE)]
-    return direct("fold", code, wanted, _BEFORE + 1, [WHOLE], fold) or fold
+    parameters = [ArgumentSpec((0,), _DATA, dtype=_BYTE, axes=1), ArgumentSpec((1,), _PREVIOUS_CRC, INTEGER)]
+    return direct("fold", code, parameters, _PREVIOUS_CRC + 1, [INTEGER], fold) or fold
 
 
 def has_products(target: machine.Target) -> bool:
@@ -81,21 +81,21 @@ def blocks(target: machine.Target) -> int:
 def _power(bits: int) -> int:
     """Return the remainder of x**bits by the polynomial, in the form for multiplication: bits in the order of the bytes, shifted
     by one."""
-    found = 1
+    remainder = 1
     for _ in range(bits):
-        found <<= 1
-        found ^= _POLYNOMIAL if found >> 32 else 0
-    return int(f"{found:032b}"[::-1], 2) << 1
+        remainder <<= 1
+        remainder ^= _POLYNOMIAL if remainder >> 32 else 0
+    return int(f"{remainder:032b}"[::-1], 2) << 1
 
 
 def _table() -> str:
     """What each byte leaves."""
-    found = []
+    entries = []
     for byte in range(256):
         for _ in range(8):
             byte = byte >> 1 ^ (int(f"{_POLYNOMIAL & _ALL:032b}"[::-1], 2) if byte & 1 else 0)
-        found.append(f"i32 {byte}")
-    return f"@table = internal constant [256 x i32] [{', '.join(found)}]"
+        entries.append(f"i32 {byte}")
+    return f"@table = internal constant [256 x i32] [{', '.join(entries)}]"
 
 
 @library_text
@@ -124,27 +124,27 @@ def text(target: machine.Target) -> str:
         where = put(f"getelementptr i8, ptr {at}, i64 {_BLOCK * many * register}")
         return put(f"load {wide}, ptr {where}, align 1")
 
-    def moved(kept: str, bits: int, onto: str, count: int) -> str:
+    def moved(remainder: str, bits: int, onto: str, count: int) -> str:
         """Return the state in `count` blocks, advanced by `bits`, combined with the data `onto`."""
         kind, ending = kinds[count]
         by = f"{kind} <" + ", ".join([f"i64 {_power(bits + 32)}, i64 {_power(bits - 32)}"] * count) + ">"
-        call = f"call {kind} @llvm.x86.pclmulqdq{ending}({kind} {kept}, {by}, i8"
+        call = f"call {kind} @llvm.x86.pclmulqdq{ending}({kind} {remainder}, {by}, i8"
         low, high = (put(f"{call} {which})") for which in (0x00, 0x11))
         return put(f"xor {kind} {put(f'xor {kind} {low}, {high}')}, {onto}")
 
-    def going_on(label: str, before: str, first: Sequence[str], step: int, turn: Callable[[str, str], str]) -> tuple[str, str]:
+    def going_on(label: str, previous: str, first: Sequence[str], step: int, turn: Callable[[str, str], str]) -> tuple[str, str]:
         """Write a loop while there are `step` more bytes, behind the block `before`. `first`: the first position, and the type
         and value of the state. `turn` computes the next state from a state and the address of bytes. Return the position and the
         state behind the loop."""
         kind = first[1]
         lines.append(f"  br label %{label}\n{label}:")
-        lines.append(f"  %{label}.at = phi i64 [ {first[0]}, %{before} ], [ %{label}.next, %{label}.turn ]")
-        lines.append(f"  %{label}.kept = phi {kind} [ {first[2]}, %{before} ], [ %{label}.then, %{label}.turn ]")
+        lines.append(f"  %{label}.at = phi i64 [ {first[0]}, %{previous} ], [ %{label}.next, %{label}.turn ]")
+        lines.append(f"  %{label}.kept = phi {kind} [ {first[2]}, %{previous} ], [ %{label}.then, %{label}.turn ]")
         lines.append(f"  %{label}.next = add i64 %{label}.at, {step}")
         lines.append(f"  %{label}.more = icmp sle i64 %{label}.next, {length}")
         lines.append(f"  br i1 %{label}.more, label %{label}.turn, label %{label}.end\n{label}.turn:")
-        found = turn(f"%{label}.kept", put(f"getelementptr i8, ptr {place}, i64 %{label}.at"))
-        lines.append(f"  %{label}.then = bitcast {kind} {found} to {kind}\n  br label %{label}\n{label}.end:")
+        accumulator = turn(f"%{label}.kept", put(f"getelementptr i8, ptr {place}, i64 %{label}.at"))
+        lines.append(f"  %{label}.then = bitcast {kind} {accumulator} to {kind}\n  br label %{label}\n{label}.end:")
         return f"%{label}.at", f"%{label}.kept"
 
     def with_byte(state: str, byte: str) -> str:
@@ -153,40 +153,44 @@ def text(target: machine.Target) -> str:
         left = put(f"load i32, ptr {put(f'getelementptr i32, ptr @table, i32 {low}')}")
         return put(f"xor i32 {put(f'lshr i32 {state}, 8')}, {left}")
 
-    place, length, before = (
+    place, length, previous = (
         put(f"load {kind}, ptr {put(f'getelementptr i64, ptr %t, i64 {k}')}")
-        for kind, k in (("ptr", _DATA), ("i64", _LENGTH), ("i64", _BEFORE))
+        for kind, k in (("ptr", _DATA), ("i64", _LENGTH), ("i64", _PREVIOUS_CRC))
     )
     stride = _REGISTERS * _BLOCK * many
-    words = put(f"udiv i64 {length}, {stride}"), put(f"xor i64 {before}, {_ALL}")
+    words = put(f"udiv i64 {length}, {stride}"), put(f"xor i64 {previous}, {_ALL}")
     first = [loaded(place, register) for register in range(_REGISTERS)]
     first[0] = put(f"xor {wide} {first[0]}, {put(f'insertelement {wide} zeroinitializer, i64 {words[1]}, i64 0')}")
     lines.append("  br label %head\nhead:")
-    kept = [f"%kept{register}" for register in range(_REGISTERS)]
+    remainder = [f"%kept{register}" for register in range(_REGISTERS)]
     lines.append("  %done = phi i64 [ 1, %inside ], [ %next, %turn ]")
-    lines += [f"  {kept[k]} = phi {wide} [ {first[k]}, %inside ], [ %then{k}, %turn ]" for k in range(_REGISTERS)]
+    lines += [f"  {remainder[k]} = phi {wide} [ {first[k]}, %inside ], [ %then{k}, %turn ]" for k in range(_REGISTERS)]
     lines.append(f"  %more = icmp slt i64 %done, {words[0]}\n  br i1 %more, label %turn, label %last\nturn:")
     at = put(f"getelementptr i8, ptr {place}, i64 {put(f'mul i64 %done, {stride}')}")
     for k in range(_REGISTERS):
-        then = moved(kept[k], 8 * stride, loaded(at, k), many)
+        then = moved(remainder[k], 8 * stride, loaded(at, k), many)
         lines.append(f"  %then{k} = bitcast {wide} {then} to {wide}")
     lines.append("  %next = add i64 %done, 1\n  br label %head\nlast:")
-    found = kept[0]
+    accumulator = remainder[0]
     for k in range(1, _REGISTERS):
-        found = moved(found, 8 * _BLOCK * many, kept[k], many)
-    parts = [put(f"shufflevector {wide} {found}, {wide} poison, <2 x i32> <i32 {2 * k}, i32 {2 * k + 1}>") for k in range(many)]
-    found = parts[0]
+        accumulator = moved(accumulator, 8 * _BLOCK * many, remainder[k], many)
+    parts = [
+        put(f"shufflevector {wide} {accumulator}, {wide} poison, <2 x i32> <i32 {2 * k}, i32 {2 * k + 1}>") for k in range(many)
+    ]
+    accumulator = parts[0]
     for part in parts[1:]:
-        found = moved(found, 8 * _BLOCK, part, 1)
-    sixteen = ("<2 x i64>", found)
-    at, found = going_on(
+        accumulator = moved(accumulator, 8 * _BLOCK, part, 1)
+    sixteen = ("<2 x i64>", accumulator)
+    at, accumulator = going_on(
         "blocks", "last", (put(f"mul i64 {words[0]}, {stride}"), *sixteen), _BLOCK,
-        lambda kept, at: moved(kept, 8 * _BLOCK, put(f"load <2 x i64>, ptr {at}, align 1"), 1),
+        lambda remainder, at: moved(remainder, 8 * _BLOCK, put(f"load <2 x i64>, ptr {at}, align 1"), 1),
     )  # fmt: skip
-    state, whole = "0", put(f"bitcast <2 x i64> {found} to <16 x i8>")
+    state, block_bytes = "0", put(f"bitcast <2 x i64> {accumulator} to <16 x i8>")
     for k in range(_BLOCK):
-        state = with_byte(state, put(f"extractelement <16 x i8> {whole}, i32 {k}"))
-    _, state = going_on("bytes", "blocks.end", (at, "i32", state), 1, lambda kept, at: with_byte(kept, put(f"load i8, ptr {at}")))
+        state = with_byte(state, put(f"extractelement <16 x i8> {block_bytes}, i32 {k}"))
+    _, state = going_on(
+        "bytes", "blocks.end", (at, "i32", state), 1, lambda remainder, at: with_byte(remainder, put(f"load i8, ptr {at}"))
+    )
     state = put(f"xor i32 {state}, -1")
     lines.append(f"  store i64 {put(f'zext i32 {state} to i64')}, ptr %t, align 8")
     body = "  br label %inside\ninside:\n" + "\n".join(lines)

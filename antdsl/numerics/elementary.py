@@ -45,9 +45,9 @@ def _series(x: Value, coefficients: tuple[float, ...]) -> Value:
 
 def _quarter_turns(x: Value) -> tuple[Value, Value]:
     """The angle as (remainder within an eighth of a turn, number of quarter turns 0 .. 3)."""
-    whole = _widen(x)
-    usual = np.abs(whole) < FAR
-    wide: Value = whole if np.all(usual) else np.where(usual, whole, np.fmod(whole, 2.0 * PI))
+    wide_x = _widen(x)
+    usual = np.abs(wide_x) < FAR
+    wide: Value = wide_x if np.all(usual) else np.where(usual, wide_x, np.fmod(wide_x, 2.0 * PI))
     turns = np.rint(wide * TWO_OVER_PI)
     rest = (wide - turns * HALF_PI_HIGH) - turns * HALF_PI_LOW
     return rest, turns - np.floor(turns * 0.25) * 4.0
@@ -64,16 +64,16 @@ def sin(x: Value) -> Value:
     """Sine; NaN where the angle is not finite. Angles above 1e6 are reduced by 2 pi as float64 holds it."""
     if np.ndim(x) == 0:
         return _alone(wide_sin, np.float64(x).tobytes())
-    found = _by_kernel("sines", x)
-    return _narrow(wide_sin(x)) if found is None else found
+    values = _by_kernel("sines", x)
+    return _narrow(wide_sin(x)) if values is None else values
 
 
 def cos(x: Value) -> Value:
     """Cosine; as `sin`."""
     if np.ndim(x) == 0:
         return _alone(wide_cos, np.float64(x).tobytes())
-    found = _by_kernel("cosines", x)
-    return _narrow(wide_cos(x)) if found is None else found
+    values = _by_kernel("cosines", x)
+    return _narrow(wide_cos(x)) if values is None else values
 
 
 def wide_sin(x: Value) -> Value:
@@ -94,8 +94,8 @@ def _exp_wide(wide: Value) -> Value:
     wide = np.minimum(np.maximum(wide, -200.0), 200.0)  # both hand NaN on; beyond them float32 is 0 or infinite anyway
     power = np.rint(wide * LOG2_E)
     rest = (wide - power * LN2_HIGH) - power * LN2_LOW
-    whole = np.where(power == power, power, 0.0).astype(np.int32)
-    return np.ldexp(_series(rest, EXP), whole)
+    exponent = np.where(power == power, power, 0.0).astype(np.int32)
+    return np.ldexp(_series(rest, EXP), exponent)
 
 
 def _log_wide(wide: Value) -> Value:
@@ -115,14 +115,14 @@ def exp(x: Value) -> Value:
     """e to the x."""
     if np.ndim(x) == 0:
         return _alone(_exp_wide, np.float64(x).tobytes())
-    found = _by_kernel("exponentials", x)
-    return _narrow(_exp_wide(_widen(x))) if found is None else found
+    values = _by_kernel("exponentials", x)
+    return _narrow(_exp_wide(_widen(x))) if values is None else values
 
 
 def log(x: Value) -> Value:
     """Natural logarithm; -inf at 0, NaN below."""
-    found = _by_kernel("logarithms", x)
-    return _narrow(_log_wide(_widen(x))) if found is None else found
+    values = _by_kernel("logarithms", x)
+    return _narrow(_log_wide(_widen(x))) if values is None else values
 
 
 def power(a: Value, b: Value) -> Value:
@@ -130,16 +130,16 @@ def power(a: Value, b: Value) -> Value:
     1."""
     wide_a, wide_b = _widen(a), _widen(b)
     value = _exp_wide(wide_b * _log_wide(np.abs(wide_a)))
-    whole = np.floor(wide_b) == wide_b
-    odd = whole & (np.floor(wide_b * 0.5) * 2.0 != wide_b)
-    value = np.where(wide_a < 0.0, np.where(whole, np.where(odd, -value, value), np.nan), value)
+    is_integer = np.floor(wide_b) == wide_b
+    odd = is_integer & (np.floor(wide_b * 0.5) * 2.0 != wide_b)
+    value = np.where(wide_a < 0.0, np.where(is_integer, np.where(odd, -value, value), np.nan), value)
     return _narrow(np.where((wide_b == 0.0) | (wide_a == 1.0), 1.0, value))
 
 
 def atan2(y: Value, x: Value) -> Value:
     """Angle of (x, y) from the x axis, -pi .. pi; 0 for (0, 0)."""
-    found = _by_kernel("angles", y, x)
-    return _narrow(wide_atan2(y, x)) if found is None else found
+    values = _by_kernel("angles", y, x)
+    return _narrow(wide_atan2(y, x)) if values is None else values
 
 
 def wide_atan2(y: Value, x: Value) -> Value:
@@ -176,5 +176,5 @@ def _by_kernel(loop: str, *values: Value) -> Value | None:
     one = values[0]
     if not all(isinstance(v, np.ndarray) and v.dtype == np.float32 and v.ndim == 1 and v.size == one.size for v in values):
         return None
-    found = np.empty(one.size, np.float32)
-    return found if getattr(elementary_loops, loop)(*parallel.plain(*values), found) else None
+    output = np.empty(one.size, np.float32)
+    return output if getattr(elementary_loops, loop)(*parallel.plain(*values), output) else None

@@ -78,37 +78,37 @@ def _usual(x: Array1[F32], least: F64, most: F64) -> BOOL:
 
 
 @kernel
-def sines(x: Array1[F32], found: Array1[F32]) -> BOOL:
+def sines(x: Array1[F32], output: Array1[F32]) -> BOOL:
     """Writes `elementary.sin` of all; False where an angle is not below 1e6."""
     if not _usual(x, -FAR, FAR):
         return False
     for k in independent(0, x.size):
-        found[k] = cos_sin(x[k])[1]
+        output[k] = cos_sin(x[k])[1]
     return True
 
 
 @kernel
-def cosines(x: Array1[F32], found: Array1[F32]) -> BOOL:
+def cosines(x: Array1[F32], output: Array1[F32]) -> BOOL:
     """Writes `elementary.cos` of all; False where an angle is not below 1e6."""
     if not _usual(x, -FAR, FAR):
         return False
     for k in independent(0, x.size):
-        found[k] = cos_sin(x[k])[0]
+        output[k] = cos_sin(x[k])[0]
     return True
 
 
 @kernel
-def angles(y: Array1[F32], x: Array1[F32], found: Array1[F32]) -> BOOL:
+def angles(y: Array1[F32], x: Array1[F32], output: Array1[F32]) -> BOOL:
     """Write `kernels.atan2` of all numbers; return False where one is not finite."""
     if not (_usual(y, -np.inf, np.inf) and _usual(x, -np.inf, np.inf)):
         return False
     for k in independent(0, x.size):
-        found[k] = atan2(y[k], x[k])
+        output[k] = atan2(y[k], x[k])
     return True
 
 
 @kernel
-def exponentials(x: Array1[F32], found: Array1[F32]) -> BOOL:
+def exponentials(x: Array1[F32], output: Array1[F32]) -> BOOL:
     """Write `elementary.exp` of all numbers; return False where one is NaN."""
     for k in range(x.size):
         if x[k] != x[k]:
@@ -117,12 +117,12 @@ def exponentials(x: Array1[F32], found: Array1[F32]) -> BOOL:
         held = min(max(np.float64(x[k]), -200.0), 200.0)
         power = np.rint(held * LOG2_E)
         rest = (held - power * LN2_HIGH) - power * LN2_LOW
-        found[k] = _F(_series(rest, EXP) * as_float((np.int64(power) + _BIAS) << _FRACTION))
+        output[k] = _F(_series(rest, EXP) * as_float((np.int64(power) + _BIAS) << _FRACTION))
     return True
 
 
 @kernel
-def logarithms(x: Array1[F32], found: Array1[F32]) -> BOOL:
+def logarithms(x: Array1[F32], output: Array1[F32]) -> BOOL:
     """Writes `elementary.log` of all; False where one is not above 0, or not finite."""
     if not _usual(x, 0.0, np.inf):
         return False
@@ -133,5 +133,5 @@ def logarithms(x: Array1[F32], found: Array1[F32]) -> BOOL:
         if mantissa < ROOT_HALF:
             mantissa, power = mantissa + mantissa, power - 1.0
         s = (mantissa - 1.0) / (mantissa + 1.0)
-        found[k] = _F((s * _series(s * s, LOG) + power * LN2_LOW) + power * LN2_HIGH)
+        output[k] = _F((s * _series(s * s, LOG) + power * LN2_LOW) + power * LN2_HIGH)
     return True

@@ -10,7 +10,7 @@ from functools import cache
 from typing import Any
 
 _ONE, _HALF, _ULP, _LEAST = 1.0, 0.5, 2.0**-53, 2.0**-1022  # read at run time: a constant would be folded beforehand
-_ROOM = 256  # bytes; more than any C library keeps of it
+_ENVIRONMENT_SIZE = 256  # bytes; more than any C library keeps of it
 
 
 def is_standard() -> bool:
@@ -33,13 +33,13 @@ def standard() -> Iterator[None]:
     if library is None:
         yield
         return
-    kept = ctypes.create_string_buffer(_ROOM)
-    library.fegetenv(kept)
+    saved_environment = ctypes.create_string_buffer(_ENVIRONMENT_SIZE)
+    library.fegetenv(saved_environment)
     library.fesetenv(_usual())
     try:
         yield
     finally:
-        library.fesetenv(kept)
+        library.fesetenv(saved_environment)
 
 
 @cache

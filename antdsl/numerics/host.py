@@ -23,12 +23,12 @@ EACH = 4  # parts of machine code for each of several threads: who comes late, o
 def cores() -> int:
     """Return how many threads may run at once here: limited by the cores available to this process and by its control group (for
     instance of a container), rounded up."""
-    there = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    available = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     try:
         own = OWN.read_text(encoding="utf-8", errors="surrogateescape")
     except OSError:
-        return there
-    return max(1, min([there, *map(math.ceil, allowed(own, GROUPS))]))
+        return available
+    return max(1, min([available, *map(math.ceil, allowed(own, GROUPS))]))
 
 
 def allowed(own: str, groups: Path) -> Iterator[float]:
@@ -81,13 +81,13 @@ def address_space() -> float:
 def available_memory() -> int | None:
     """Return the bytes that this process can still allocate without swapping, within the limits of its control groups; None where
     the system does not report it (other than Linux)."""
-    found: list[int] = []
+    limits: list[int] = []
     with suppress(OSError, ValueError, StopIteration):
         lines = _SYSTEM.read_text(encoding="ascii", errors="replace").splitlines()
-        found.append(next(int(line.split()[1]) * 1024 for line in lines if line.startswith("MemAvailable:")))
+        limits.append(next(int(line.split()[1]) * 1024 for line in lines if line.startswith("MemAvailable:")))
     with suppress(OSError):
-        found += left(OWN.read_text(encoding="utf-8", errors="surrogateescape"), GROUPS)
-    return min(found, default=None)
+        limits += left(OWN.read_text(encoding="utf-8", errors="surrogateescape"), GROUPS)
+    return min(limits, default=None)
 
 
 def left(own: str, groups: Path) -> Iterator[int]:
@@ -119,21 +119,21 @@ def memory() -> tuple[int, int]:
     """Return the current and the peak memory of this process in bytes. Where the system reports only the peak, both are the peak;
     it may be that of the parent process."""
     try:
-        whole = _kilobytes(_PROCESS / "status")
-        return 1024 * whole["VmRSS"], 1024 * whole["VmHWM"]
+        amounts = _kilobytes(_PROCESS / "status")
+        return 1024 * amounts["VmRSS"], 1024 * amounts["VmHWM"]
     except (OSError, KeyError):
         return peak_memory(), peak_memory()
 
 
 def _kilobytes(path: Path) -> dict[str, int]:
     """The amounts in a file with lines such as `VmRSS:  123 kB`."""
-    found = {}
+    amounts = {}
     for line in path.read_text(encoding="ascii", errors="replace").splitlines():
         name, _, value = line.partition(":")
         words = value.split()
         if len(words) == 2 and words[1] == "kB" and words[0].isdigit():
-            found[name] = int(words[0])
-    return found
+            amounts[name] = int(words[0])
+    return amounts
 
 
 @cache

@@ -94,13 +94,13 @@ def direction(v: Vec3, up: Vec3) -> Vec3:
 
 
 @inlined
-def more(a: F64, b: F64) -> F64:
+def fmax(a: F64, b: F64) -> F64:
     """As np.fmax of a number that may be NaN and one that is not."""
     return a if a > b else b
 
 
 @inlined
-def less(a: F64, b: F64) -> F64:
+def fmin(a: F64, b: F64) -> F64:
     """As np.fmin of the same."""
     return a if a < b else b
 
@@ -116,13 +116,13 @@ def inside(b1: F64, b2: F64) -> Weights:
 
 
 @inlined
-def turned(v: Vec3, before: Vec3, after: Vec3, direction: Vec3) -> Vec3:
+def turned(v: Vec3, source: Vec3, target: Vec3, direction: Vec3) -> Vec3:
     """Return a vector rotated by the smallest rotation from one unit normal to another. A half turn rotates over `direction`."""
-    cosine = dot(before, after)
+    cosine = dot(source, target)
     if cosine < -1 + 1e-9:
-        hinge = cross(before, direction)
+        hinge = cross(source, direction)
         return minus(times(hinge, 2 * dot(hinge, v)), v)
-    axis = cross(before, after)
+    axis = cross(source, target)
     part = dot(axis, v) / (1 + cosine)
     return plus(plus(times(v, cosine), cross(axis, v)), times(axis, part))
 

@@ -15,44 +15,44 @@ _AROUND: list[Cell] = [(x, y, z) for x in (-1, 0, 1) for y in (-1, 0, 1) for z i
 _FORWARD = _AROUND[len(_AROUND) // 2 :]  # each pair of cells once
 
 
-def pairs_within(places: Floats, reach: float) -> tuple[Index, Index]:
+def pairs_within(points: Floats, reach: float) -> tuple[Index, Index]:
     """Return the pairs of points [n,3] at most `reach` apart: their indices, the lower one first."""
-    one, other = _pairs(places, places, reach, _FORWARD)
+    one, other = _pairs(points, points, reach, _FORWARD)
     return np.minimum(one, other), np.maximum(one, other)
 
 
-def pairs_between(places: Floats, others: Floats, reach: float) -> tuple[Index, Index]:
+def pairs_between(points: Floats, others: Floats, reach: float) -> tuple[Index, Index]:
     """Return the pairs of points [n,3] and others [k,3] at most `reach` apart: the indices of both."""
-    return _pairs(places, others, reach, _AROUND)
+    return _pairs(points, others, reach, _AROUND)
 
 
-def _pairs(places: Floats, others: Floats, reach: float, cells: list[Cell]) -> tuple[Index, Index]:
+def _pairs(points: Floats, others: Floats, reach: float, cells: list[Cell]) -> tuple[Index, Index]:
     empty = np.empty(0, np.int64)
-    if not (len(places) and len(others)):
+    if not (len(points) and len(others)):
         return empty, empty
-    low = np.minimum(places.min(axis=0), others.min(axis=0))
-    here, there = (np.floor((each - low) / (_ROOMY * reach)).astype(np.int64) for each in (places, others))
-    _, ny, nz = np.maximum(here.max(axis=0), there.max(axis=0)) + 3
-    found = [(empty, empty)]
+    low = np.minimum(points.min(axis=0), others.min(axis=0))
+    point_cells, other_cells = (np.floor((each - low) / (_ROOMY * reach)).astype(np.int64) for each in (points, others))
+    _, ny, nz = np.maximum(point_cells.max(axis=0), other_cells.max(axis=0)) + 3
+    pairs = [(empty, empty)]
     with np.errstate(over="ignore"):  # cells that are far from each other may share a number: distances are measured
-        asked, key = ((each[:, 0] * ny + each[:, 1]) * nz + each[:, 2] for each in (here, there))
-        own, order = np.argsort(asked, kind="stable"), np.argsort(key, kind="stable")
-        asked, key = asked[own], key[order]
+        point_keys, key = ((each[:, 0] * ny + each[:, 1]) * nz + each[:, 2] for each in (point_cells, other_cells))
+        own, order = np.argsort(point_keys, kind="stable"), np.argsort(key, kind="stable")
+        point_keys, key = point_keys[own], key[order]
         shift = np.array([(x * ny + y) * nz + z for x, y, z in cells])
-    for first in range(0, len(shift), size := 1 + _AT_ONCE // len(places)):
+    for first in range(0, len(shift), size := 1 + _AT_ONCE // len(points)):
         with np.errstate(over="ignore"):
-            wanted = (asked + shift[first : first + size, None]).ravel()
-        begin = np.searchsorted(key, wanted)
-        hit = np.flatnonzero(key[np.minimum(begin, len(key) - 1)] == wanted)
+            target_keys = (point_keys + shift[first : first + size, None]).ravel()
+        begin = np.searchsorted(key, target_keys)
+        hit = np.flatnonzero(key[np.minimum(begin, len(key) - 1)] == target_keys)
         begin = begin[hit]
-        count = np.searchsorted(key, wanted[hit], "right") - begin
+        count = np.searchsorted(key, target_keys[hit], "right") - begin
         step = np.arange(int(count.sum())) - np.repeat(np.cumsum(count) - count, count)
-        one, other = own[np.repeat(hit % len(places), count)], order[np.repeat(begin, count) + step]
-        away = places[one] - others[other]
+        one, other = own[np.repeat(hit % len(points), count)], order[np.repeat(begin, count) + step]
+        away = points[one] - others[other]
         square = (away[:, 0] * away[:, 0] + away[:, 1] * away[:, 1]) + away[:, 2] * away[:, 2]
         near = square <= reach * reach
         if cells is _FORWARD:  # pairs in one cell come both ways
-            near &= (one < other) | (np.repeat(first + hit // len(places), count) > 0)
-        found.append((one[near], other[near]))
-    ones, all_others = zip(*found, strict=True)
+            near &= (one < other) | (np.repeat(first + hit // len(points), count) > 0)
+        pairs.append((one[near], other[near]))
+    ones, all_others = zip(*pairs, strict=True)
     return np.concatenate(ones), np.concatenate(all_others)

@@ -24,19 +24,19 @@ _SCALE = 0.65
 FAR = 2.0**51  # of lattice points: beyond, a float64 no longer tells places within a cell apart
 
 
-def noise(places: Floats, seed: NDArray[np.int64]) -> Floats:
+def noise(points: Floats, seed: NDArray[np.int64]) -> Floats:
     """Return noise values in -1 .. 1 at points (4, n), in lattice cells; NaN where a point is not finite or too far away."""
-    sound = (np.abs(places) < FAR).all(axis=0)
-    places = np.where(sound, places, 0.0)
-    cell = np.floor(places)
-    inside = places - cell
+    sound = (np.abs(points) < FAR).all(axis=0)
+    points = np.where(sound, points, 0.0)
+    cell = np.floor(points)
+    inside = points - cell
     lattice = cell.astype(np.int64) + _shift(seed)
     corner = (lattice + _CORNERS).astype(np.uint32)  # (16, 4, n)
     # the last word, mixed most, by its upper bits: the lower ones of the first tell cells beside each other apart too little
     gradient = _GRADIENTS[pcg4d(corner.transpose(1, 0, 2))[3] >> _27]  # (16, n, 4)
-    way = inside - _CORNERS
-    value: Floats = (gradient[..., 0] * way[:, 0] + gradient[..., 1] * way[:, 1]) + (
-        gradient[..., 2] * way[:, 2] + gradient[..., 3] * way[:, 3]
+    offset = inside - _CORNERS
+    value: Floats = (gradient[..., 0] * offset[:, 0] + gradient[..., 1] * offset[:, 1]) + (
+        gradient[..., 2] * offset[:, 2] + gradient[..., 3] * offset[:, 3]
     )
     for share in fade(inside)[::-1]:  # time first, as it changes first among the corners
         value = value[0::2] + share * (value[1::2] - value[0::2])
@@ -57,8 +57,8 @@ def _shift(seed: NDArray[np.int64]) -> NDArray[np.int64]:
 
 def pcg4d(words: Words) -> Words:
     """Four random words for each four (4, …)."""
-    found = _mixed(words * _A + _C)
-    return _mixed(found ^ (found >> _16))
+    mixed_words = _mixed(words * _A + _C)
+    return _mixed(mixed_words ^ (mixed_words >> _16))
 
 
 def _mixed(words: Words) -> Words:

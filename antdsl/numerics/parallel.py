@@ -54,7 +54,7 @@ def joined(parts: Sequence[tuple[int, ...]], *arrays: NDArray[Any]) -> list[NDAr
     own = [slice(begin, begin + count) for begin, count, *_ in parts if count]
     if len(own) < 2:
         return [each[..., own[0] if own else slice(0)] for each in arrays]
-    return [np.concatenate([each[..., some] for some in own], axis=-1) for each in arrays]
+    return [np.concatenate([each[..., chunk] for chunk in own], axis=-1) for each in arrays]
 
 
 def side_by_side(work: Callable[[int], object], threads: int) -> None:

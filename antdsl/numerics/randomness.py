@@ -95,23 +95,23 @@ def word(seed: int, frame: int, species: str, site: str, index: int, ids: NDArra
 
 def _drawn(loop: Kernel, kind: type[np.generic], shared: Counters, index: int, ids: NDArray[np.int64]) -> NDArray[Any]:
     """Draws of one for each id."""
-    found: NDArray[Any] = np.empty(ids.size, kind)
-    loop(np.ascontiguousarray(ids.reshape(-1), np.int64), (*shared[0], *shared[1]), index & 3, found)
-    return found.reshape(ids.shape)
+    draws: NDArray[Any] = np.empty(ids.size, kind)
+    loop(np.ascontiguousarray(ids.reshape(-1), np.int64), (*shared[0], *shared[1]), index & 3, draws)
+    return draws.reshape(ids.shape)
 
 
 @kernel
-def uniforms(ids: Array1[I64], shared: Shared, which: I64, found: Array1[F32]) -> None:
+def uniforms(ids: Array1[I64], shared: Shared, which: I64, output: Array1[F32]) -> None:
     """Write a draw for each id; `which` is its index among the four of its counter."""
     for n in independent(0, ids.size):
-        found[n] = np.float32(_word(ids[n], shared, which) >> 8) * UNIT
+        output[n] = np.float32(_word(ids[n], shared, which) >> 8) * UNIT
 
 
 @kernel
-def draw_words(ids: Array1[I64], shared: Shared, which: I64, found: Array1[U64]) -> None:
+def draw_words(ids: Array1[I64], shared: Shared, which: I64, output: Array1[U64]) -> None:
     """As `uniforms`, the whole word."""
     for n in independent(0, ids.size):
-        found[n] = _word(ids[n], shared, which)
+        output[n] = _word(ids[n], shared, which)
 
 
 @inlined

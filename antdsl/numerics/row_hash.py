@@ -25,10 +25,10 @@ from numpy.typing import NDArray
 from antdsl.machine_code.memory import address
 from antdsl.numerics import parallel
 from antdsl.numerics.host import EACH
-from antdsl.numerics.row_hash_text import HALVES, HEAD, NUMBERS, STRIDED, WHOLE, WORDS, text
+from antdsl.numerics.row_hash_text import CONTIGUOUS, HALVES, HEAD, NUMBERS, STRIDED, WORDS, text
 
 _HALF = 0xFFFFFFFF
-_WHOLE = 0xFFFFFFFFFFFFFFFF
+_MASK_64 = 0xFFFFFFFFFFFFFFFF
 Longs = NDArray[np.int64]
 
 
@@ -36,12 +36,12 @@ def row_hash(ids: NDArray[np.int64] | None, columns: Sequence[NDArray[Any]]) -> 
     """Return 16 bytes for a table with these columns, [n] each, of 1, 2, 4 or 8 bytes a value. `ids` int64[n] are different from
     each other. None: the numbers of the rows, for a table with ordered rows."""
     count = len(columns[0]) if ids is None else len(ids)
-    kept = [np.ascontiguousarray(column) for column in (columns if ids is None else (ids, *columns))]
-    return _told(Table(kept, keys, ids=ids is not None).sums(count))
+    arrays = [np.ascontiguousarray(column) for column in (columns if ids is None else (ids, *columns))]
+    return _to_digest(Table(arrays, keys, ids=ids is not None).sums(count))
 
 
-def _told(sums: Sequence[int]) -> bytes:
-    return b"".join((int(each) & _WHOLE).to_bytes(8, "little") for each in sums)
+def _to_digest(sums: Sequence[int]) -> bytes:
+    return b"".join((int(each) & _MASK_64).to_bytes(8, "little") for each in sums)
 
 
 class RowHash:
@@ -67,12 +67,12 @@ class RowHash:
         arrays = list(columns) if ids is None else [ids, *columns]
         count = len(arrays[0])
         if not count:  # arrays without rows have any strides
-            return _told((0, 0))
+            return _to_digest((0, 0))
         table = self._table
         if table is None or len(arrays) != len(self._arrays) or not table.lie(arrays, self._arrays):
             self._table = table = Table(arrays, keys, ids=ids is not None)
         self._arrays = arrays
-        return _told(table.sums(count, threads))
+        return _to_digest(table.sums(count, threads))
 
 
 def named(names: tuple[str, ...], columns: Iterable[NDArray[Any]]) -> bytes:
@@ -89,14 +89,14 @@ def _named(names: tuple[str, ...], types: tuple[np.dtype[Any], ...]) -> bytes:
 def keys(number: int) -> Longs:
     """The keys of a word by its number in the row: of its first and its second half in one lane, then in the other, 32 bits each.
     Two numbers of SplitMix64 that begins at 0."""
-    found: list[int] = []
+    halves: list[int] = []
     for each in (2 * number + 1, 2 * number + 2):
-        z = each * 0x9E3779B97F4A7C15 & _WHOLE
-        z = (z ^ z >> 30) * 0xBF58476D1CE4E5B9 & _WHOLE
-        z = (z ^ z >> 27) * 0x94D049BB133111EB & _WHOLE
+        z = each * 0x9E3779B97F4A7C15 & _MASK_64
+        z = (z ^ z >> 30) * 0xBF58476D1CE4E5B9 & _MASK_64
+        z = (z ^ z >> 27) * 0x94D049BB133111EB & _MASK_64
         z ^= z >> 31
-        found += [z & _HALF, z >> 32]
-    return np.array(found, np.int64)
+        halves += [z & _HALF, z >> 32]
+    return np.array(halves, np.int64)
 
 
 _Part = tuple[int, int, int]  # which column, how many bytes from its begin on, and from one value to the next
@@ -108,7 +108,7 @@ class _Form:
 
     dtype: np.dtype[Any]
     strides: tuple[int, ...]
-    more: tuple[int, ...]
+    trailing_shape: tuple[int, ...]
     piece: bool
 
 
@@ -128,7 +128,7 @@ class Table:
                 raise ValueError("a column of fewer than four bytes a value lies in one piece")
             for offset in (0,) if column.ndim == 1 else [column.strides[1] * part for part in range(column.shape[1])]:
                 if size == 8:
-                    words.append((WHOLE if step == size else STRIDED, [(k, offset, step)]))
+                    words.append((CONTIGUOUS if step == size else STRIDED, [(k, offset, step)]))
                 elif half:
                     words.append((HALVES, [*half, (k, offset, step)]))
                     half = []
@@ -148,14 +148,14 @@ class Table:
         self._chunks: Longs = np.zeros((0, 3), np.int64)
         self.lie(columns, [None] * len(columns))
 
-    def lie(self, columns: Sequence[NDArray[Any]], before: Sequence[NDArray[Any] | None]) -> bool:
-        """Return whether other arrays can replace the columns; if so, they do from now on. `before`: the arrays that they
+    def lie(self, columns: Sequence[NDArray[Any]], previous: Sequence[NDArray[Any] | None]) -> bool:
+        """Return whether other arrays can replace the columns; if so, they do from now on. `previous`: the arrays that they
         replace."""
-        for k, (column, other) in enumerate(zip(columns, before, strict=True)):
+        for k, (column, other) in enumerate(zip(columns, previous, strict=True)):
             if column is other:
                 continue
             form, piece = self._forms[k], column.flags.c_contiguous  # which one row always is
-            if column.dtype is not form.dtype or column.strides != form.strides or column.shape[1:] != form.more:
+            if column.dtype is not form.dtype or column.strides != form.strides or column.shape[1:] != form.trailing_shape:
                 return False
             if piece != form.piece:
                 return False

@@ -12,7 +12,7 @@ from antdsl.machine_code.entries import entry
 from antdsl.machine_code.library import library_text
 from antdsl.machine_code.module import Module
 
-WHOLE, STRIDED, NUMBERS, HALVES = range(4)  # kinds of words
+CONTIGUOUS, STRIDED, NUMBERS, HALVES = range(4)  # kinds of words
 WORDS = 9  # words of a table for each of the row's words: kind, two addresses each before the bytes of a step, four keys
 HEAD = 4  # words of the table of a call: both sums, how many words a row has, and where the table of these begins
 LANES = 8  # rows that are looked at together
@@ -84,8 +84,8 @@ def text(target: machine.Target) -> str:
     w.at("over")
     for lane in (0, 1):
         place = w.place("%t", "i64", str(lane))
-        before = w.put(f"load i64, ptr {place}")
-        w.do(f"store i64 {w.put(f'add i64 {before}, %sum{lane}')}, ptr {place}")
+        old_sum = w.put(f"load i64, ptr {place}")
+        w.do(f"store i64 {w.put(f'add i64 {old_sum}, %sum{lane}')}, ptr {place}")
     return f"{module.text()}\n{entry(module, 'rows', chr(10).join(w.lines))}\n"
 
 
@@ -96,21 +96,21 @@ def _words(w: _Text) -> None:
     w.do("%w.more = icmp slt i64 %w, %words\n  br i1 %w.more, label %word, label %mix")
     w.at("word")
     word = w.place("%table", "i64", w.put(f"mul i64 %w, {WORDS}"))
-    places = [w.place(word, "i64", str(k)) for k in range(WORDS)]
-    kind, *steps = (w.put(f"load i64, ptr {places[k]}") for k in (0, 2, 4))
-    columns = [w.put(f"load ptr, ptr {places[k]}") for k in (1, 3)]
-    keys = [w.all_of(w.put(f"load i64, ptr {place}")) for place in places[5:]]
+    addresses = [w.place(word, "i64", str(k)) for k in range(WORDS)]
+    kind, *steps = (w.put(f"load i64, ptr {addresses[k]}") for k in (0, 2, 4))
+    columns = [w.put(f"load ptr, ptr {addresses[k]}") for k in (1, 3)]
+    keys = [w.all_of(w.put(f"load i64, ptr {place}")) for place in addresses[5:]]
     begins = [w.place(column, "i8", w.put(f"mul i64 %first, {step}")) for column, step in zip(columns, steps, strict=True)]
-    ways = [w.put(f"icmp eq i64 {kind}, {each}") for each in (WHOLE, HALVES)]
+    kind_tests = [w.put(f"icmp eq i64 {kind}, {each}") for each in (CONTIGUOUS, HALVES)]
     in_place = w.put("xor i1 %few, true")
-    pairs = ways[1]
+    pairs = kind_tests[1]
     for step in steps:
         pairs = w.put(f"and i1 {pairs}, {w.put(f'icmp eq i64 {step}, 4')}")
-    w.do(f"%as.it.is = and i1 {ways[0]}, {in_place}\n  %as.pairs = and i1 {pairs}, {in_place}")
+    w.do(f"%as.it.is = and i1 {kind_tests[0]}, {in_place}\n  %as.pairs = and i1 {pairs}, {in_place}")
     w.do("br i1 %as.it.is, label %add, label %other\nother:\n  br i1 %as.pairs, label %pairs, label %gather")
     w.at("gather")
     w.do(
-        f"switch i64 {kind}, label %halves [ i64 {WHOLE}, label %strided  i64 {STRIDED}, label %strided"
+        f"switch i64 {kind}, label %halves [ i64 {CONTIGUOUS}, label %strided  i64 {STRIDED}, label %strided"
         f"  i64 {NUMBERS}, label %numbers ]"
     )
     w.at("strided")
@@ -134,17 +134,17 @@ def _words(w: _Text) -> None:
     w.do("%w.next = add i64 %w, 1\n  br label %words.loop")
 
 
-def _added(w: _Text, label: str, before: str, columns: Sequence[str], keys: Sequence[str]) -> None:
-    """Add the products of a word to both lanes of a block, after the block `before`. The word comes from one column of full
+def _added(w: _Text, label: str, predecessor: str, columns: Sequence[str], keys: Sequence[str]) -> None:
+    """Add the products of a word to both lanes of a block, after the block `predecessor`. The word comes from one column of full
     words, or from two of halves."""
-    _loop(w, label, before, LANES, "%room")
+    _loop(w, label, predecessor, LANES, "%room")
     if len(columns) == 1:
         place = w.place(columns[0], "i64", f"%{label}.i")
         low = w.put(f"load {_LONG}, ptr {place}, align 1")
         halves = [low, w.put(f"lshr {_LONG} {low}, {_constant(32)}")]
     else:
-        places = [w.place(column, "i32", f"%{label}.i") for column in columns]
-        loaded = [w.put(f"load {_HALF}, ptr {place}, align 1") for place in places]
+        addresses = [w.place(column, "i32", f"%{label}.i") for column in columns]
+        loaded = [w.put(f"load {_HALF}, ptr {place}, align 1") for place in addresses]
         halves = [w.put(f"zext {_HALF} {half} to {_LONG}") for half in loaded]
     for lane in (0, 1):
         sums = [w.put(f"add {_LONG} {half}, {keys[2 * lane + k]}") for k, half in enumerate(halves)]
@@ -162,16 +162,16 @@ def _half(w: _Text, name: str, begin: str, step: str) -> None:
     shift = 32 if name == "high" else 0
     w.do(f"br i1 %few, label %{name}.few, label %{name}.many")
     for many in (True, False):
-        way = "many" if many else "few"
-        w.at(f"{name}.{way}")
+        mode = "many" if many else "few"
+        w.at(f"{name}.{mode}")
         sizes = (1, 2, 4) if many else (1, 2)
         w.do(
-            f"switch i64 {step}, label %{name}.{way}.0 [ "
-            + "  ".join(f"i64 {size}, label %{name}.{way}.{size}" for size in sizes)
+            f"switch i64 {step}, label %{name}.{mode}.0 [ "
+            + "  ".join(f"i64 {size}, label %{name}.{mode}.{size}" for size in sizes)
             + " ]"
         )
         for size in (0, *sizes):
-            label, kind = f"{name}.{way}.{size}", f"i{8 * size}" if size else "i32"
+            label, kind = f"{name}.{mode}.{size}", f"i{8 * size}" if size else "i32"
             w.at(label)
             if size and many:
                 _read(w, f"{label}.loop", label, begin, kind, shift)
@@ -180,11 +180,11 @@ def _half(w: _Text, name: str, begin: str, step: str) -> None:
             w.do(f"br label %{name}.done")
 
 
-def _loop(w: _Text, label: str, before: str, step: int, count: str) -> None:
-    """Begin a loop over the rows of a block, after the block `before`."""
+def _loop(w: _Text, label: str, predecessor: str, step: int, count: str) -> None:
+    """Begin a loop over the rows of a block, after the block `predecessor`."""
     w.do(f"br label %{label}")
     w.at(label)
-    w.do(f"%{label}.i = phi i64 [ 0, %{before} ], [ %{label}.next, %{label}.turn ]")
+    w.do(f"%{label}.i = phi i64 [ 0, %{predecessor} ], [ %{label}.next, %{label}.turn ]")
     w.do(f"%{label}.more = icmp slt i64 %{label}.i, {count}\n  br i1 %{label}.more, label %{label}.turn, label %{label}.end")
     w.at(f"{label}.turn")
     w.do(f"%{label}.next = add i64 %{label}.i, {step}")
@@ -195,38 +195,38 @@ def _end(w: _Text, label: str) -> None:
     w.at(f"{label}.end")
 
 
-def _read(w: _Text, label: str, before: str, begin: str, kind: str, shift: int) -> None:
+def _read(w: _Text, label: str, predecessor: str, begin: str, kind: str, shift: int) -> None:
     """Emit a loop that adds contiguous values in memory as halves of 64-bit values."""
-    _loop(w, label, before, LANES, "%room")
+    _loop(w, label, predecessor, LANES, "%room")
     at = w.place(begin, kind, f"%{label}.i")
-    found = w.put(f"load <{LANES} x {kind}>, ptr {at}, align 1")
+    half = w.put(f"load <{LANES} x {kind}>, ptr {at}, align 1")
     if kind != "i32":
-        found = w.put(f"sext <{LANES} x {kind}> {found} to {_HALF}")
-    found = w.put(f"zext {_HALF} {found} to {_LONG}")
+        half = w.put(f"sext <{LANES} x {kind}> {half} to {_HALF}")
+    half = w.put(f"zext {_HALF} {half} to {_LONG}")
     place = w.place("%values", "i64", f"%{label}.i")
     if shift:
         low = w.put(f"load {_LONG}, ptr {place}, align 64")
-        moved = w.put(f"shl {_LONG} {found}, {_constant(shift)}")
-        found = w.put(f"or {_LONG} {low}, {moved}")
-    w.do(f"store {_LONG} {found}, ptr {place}, align 64")
+        moved = w.put(f"shl {_LONG} {half}, {_constant(shift)}")
+        half = w.put(f"or {_LONG} {low}, {moved}")
+    w.do(f"store {_LONG} {half}, ptr {place}, align 64")
     _end(w, label)
 
 
-def _gathered(w: _Text, label: str, before: str, begin: str, step: str, kind: str, shift: int | None) -> None:
+def _gathered(w: _Text, label: str, predecessor: str, begin: str, step: str, kind: str, shift: int | None) -> None:
     """Write values that are `step` bytes apart, one by one, as full words or as halves."""
-    _loop(w, label, before, 1, "%count")
+    _loop(w, label, predecessor, 1, "%count")
     at = w.place(begin, "i8", w.put(f"mul i64 %{label}.i, {step}"))
-    found = w.put(f"load {kind}, ptr {at}, align 1")
+    word = w.put(f"load {kind}, ptr {at}, align 1")
     place = w.place("%values", "i64", f"%{label}.i")
     if shift is not None:
         if kind != "i32":
-            found = w.put(f"sext {kind} {found} to i32")
-        found = w.put(f"zext i32 {found} to i64")
+            word = w.put(f"sext {kind} {word} to i32")
+        word = w.put(f"zext i32 {word} to i64")
         if shift:
             low = w.put(f"load i64, ptr {place}, align 8")
-            moved = w.put(f"shl i64 {found}, {shift}")
-            found = w.put(f"or i64 {low}, {moved}")
-    w.do(f"store i64 {found}, ptr {place}, align 8")
+            moved = w.put(f"shl i64 {word}, {shift}")
+            word = w.put(f"or i64 {low}, {moved}")
+    w.do(f"store i64 {word}, ptr {place}, align 8")
     _end(w, label)
 
 

@@ -71,9 +71,9 @@ def place_among(keys: Array1[I64], key: I64, first: I64, last: I64) -> I64:
 @inlined
 def listed(flags: Array1[Any], count: I64) -> I64:
     """Move the indices of the 1s among the first `count` flags to the front; return how many there are."""
-    found = 0
+    hits = 0
     for k in range(count):
         flag = flags[k]
-        flags[found] = k  # written whatever it is: no branch that is hard to foretell
-        found += flag
-    return found
+        flags[hits] = k  # written whatever it is: no branch that is hard to foretell
+        hits += flag
+    return hits

@@ -56,15 +56,15 @@ def stored(
     computation."""
     global _computed
     key = _key(name, inputs) if size >= LEAST else None
-    found = None if key is None else _unpacked(_store().get(key))
-    if found is None:
+    tables = None if key is None else _unpacked(_store().get(key))
+    if tables is None:
         if size >= LEAST:
             stages.begin(f"{name} of {size:,} {unit}")
-        found = compute()
+        tables = compute()
         _computed += 1
-        if key is not None and sum(array.nbytes for array in found.values()) <= _LARGEST - MIB:
-            _store().put(key, _packed(found))
-    return found
+        if key is not None and sum(array.nbytes for array in tables.values()) <= _LARGEST - MIB:
+            _store().put(key, _packed(tables))
+    return tables
 
 
 def computed() -> int:
@@ -112,8 +112,8 @@ def _sources() -> str:
 
 def _modules() -> Iterator[Path]:
     package = Path(antdsl.__file__).parent
-    for room in _ROOMS:
-        yield from sorted((package / room).rglob("*.py"))
+    for folder in _ROOMS:
+        yield from sorted((package / folder).rglob("*.py"))
 
 
 def _packed(tables: Mapping[str, NDArray[Any]]) -> bytes:
@@ -132,7 +132,7 @@ def _unpacked(data: bytes | None) -> Tables | None:
     """Return the arrays of `_packed`; None for no data or any other data."""
     if data is None:
         return None
-    found: Tables = {}
+    tables: Tables = {}
     try:
         at = data.index(b"\n") + 1
         for name, kind, shape in json.loads(data[:at]):
@@ -140,8 +140,8 @@ def _unpacked(data: bytes | None) -> Tables | None:
                 return None
             at += -at % _ALIGNED
             count = math.prod(shape)
-            found[name] = np.frombuffer(data, kind, count, at).reshape(shape).copy()
-            at += found[name].nbytes
+            tables[name] = np.frombuffer(data, kind, count, at).reshape(shape).copy()
+            at += tables[name].nbytes
     except (ValueError, TypeError):
         return None
-    return found if at == len(data) else None
+    return tables if at == len(data) else None

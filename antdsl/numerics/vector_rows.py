@@ -14,7 +14,7 @@ def columned(v: Floats) -> Floats:
     return np.array(np.asarray(v, np.float64).T, order="C").T
 
 
-def some(v: Floats, rows: Rows) -> Floats:
+def take_rows(v: Floats, rows: Rows) -> Floats:
     """Return selected rows (ascending) of vectors, with contiguous components."""
     if len(rows) == len(v):
         return v
@@ -23,11 +23,11 @@ def some(v: Floats, rows: Rows) -> Floats:
 
 def within(place: Floats, low: Floats, high: Floats) -> Rows:
     """Which places lie in a box."""
-    found = np.ones(len(place), np.bool_)
+    inside = np.ones(len(place), np.bool_)
     for axis in range(3):
         along = place[:, axis]
-        found &= (along >= low[axis]) & (along <= high[axis])
-    return np.flatnonzero(found)
+        inside &= (along >= low[axis]) & (along <= high[axis])
+    return np.flatnonzero(inside)
 
 
 def length(v: Floats) -> Floats:
@@ -45,8 +45,8 @@ def dot(a: Floats, b: Floats) -> Floats:
 def unit(v: Floats) -> Floats:
     """Return vectors (…, 3) scaled to unit length; zero stays zero."""
     size = np.sqrt(dot(v, v))
-    made: Floats = v / np.where(size > 0, size, 1.0)[..., None]
-    return made
+    unit_vectors: Floats = v / np.where(size > 0, size, 1.0)[..., None]
+    return unit_vectors
 
 
 def unit_or(v: Floats, otherwise: Floats) -> Floats:

@@ -71,14 +71,14 @@ def unit(a: Vector, otherwise: Vector, least: float = 1e-12) -> Vector:
     return choose(good, scale(a, 1 / np.where(good, size, 1)), otherwise)
 
 
-def turned(v: Array, before: Array, after: Array, direction: Array) -> Array:
+def turned(v: Array, source: Array, target: Array, direction: Array) -> Array:
     """Return vectors rotated by the smallest rotation from one unit normal to another. A half turn rotates over `direction`."""
-    cosine = dot(before, after)
+    cosine = dot(source, target)
     opposite = cosine < -1 + 1e-9
-    axis = stacked_cross(before, after)
+    axis = stacked_cross(source, target)
     part = dot(axis, v) / np.where(opposite, 1.0, 1 + cosine)
     around = cosine * v + stacked_cross(axis, v) + part * axis
-    hinge = stacked_cross(before, direction)
+    hinge = stacked_cross(source, direction)
     return np.where(opposite, 2 * dot(hinge, v) * hinge - v, around)
 
 

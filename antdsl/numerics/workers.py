@@ -43,10 +43,10 @@ class Workers:
 
     def __init__(self, count: int) -> None:
         code = words.code()
-        room = np.zeros(words.SLEEPS + words.LINE * (count + 1) + _LINE // 8, np.int64)
+        buffer = np.zeros(words.SLEEPS + words.LINE * (count + 1) + _LINE // 8, np.int64)
         self.asks: dict[None, object] = {}
-        self.address = -(-address(room) // _LINE) * _LINE
-        self._words: NDArray[np.int64] = room[(self.address - address(room)) // 8 :]
+        self.address = -(-address(buffer) // _LINE) * _LINE
+        self._words: NDArray[np.int64] = buffer[(self.address - address(buffer)) // 8 :]
         self._start = ctypes.PYFUNCTYPE(*_ENTRY)(code.place("start"))  # which keeps the interpreter's lock
         self._all, self._finish, self._end, loop = (code.function(name) for name in ("all", "finish", "end", "worker"))
         self._work: Callable[[int], object] = int
@@ -97,14 +97,14 @@ class Workers:
         run = None if parted is None else parted()
         if run is None:
             return None
-        found: list[T] = run(*work.args, 0, count, parts, self.address)
-        return found
+        results: list[T] = run(*work.args, 0, count, parts, self.address)
+        return results
 
     def call(self, function: Callable[[int, int, int], None], listed: NDArray[np.int64]) -> None:
         """Call a function of machine code with each row of an array [k,3]."""
         for first in range(0, len(listed), PARTS):
-            some = np.ascontiguousarray(listed[first : first + PARTS])
-            self._job(function, some, len(some))
+            batch = np.ascontiguousarray(listed[first : first + PARTS])
+            self._job(function, batch, len(batch))
             self._all(self.address, 0, 0)
 
     def end(self) -> None:
@@ -116,7 +116,7 @@ class Workers:
     def _job(self, function: Any, table: NDArray[np.int64], parts: int) -> None:
         code = ctypes.cast(function, ctypes.c_void_p).value or 0
         self._words[words.CODE : words.OF + 1] = code, address(table), 0, parts
-        self._words[words.DONE] = parts  # as long as it has not been started, there is nothing to wait for
+        self._words[words.DONE_COUNT] = parts  # as long as it has not been started, there is nothing to wait for
 
     def _one(self, _: int, number: int, __: int) -> None:
         try:
@@ -138,13 +138,13 @@ class Executed:
         try:
             work(0)
         finally:
-            begun = [other for other in others if not other.cancel()]
+            pending = [other for other in others if not other.cancel()]
             try:
-                wait(begun)
+                wait(pending)
             except BaseException:
-                wait(begun)
+                wait(pending)
                 raise
-        for other in begun:
+        for other in pending:
             other.result()
 
     def end(self) -> None:
@@ -160,17 +160,17 @@ def parts(count: int, threads: int) -> int:
 
 def in_parts(work: Callable[[int, int], T], count: int, threads: int, paying: int) -> list[T]:
     """Run `parallel.in_parts` with as many threads as are worthwhile."""
-    pool = _kept_for(threads)
+    pool = _pool_for(threads)
 
     def together() -> list[T]:
         least = min(paying, threads, PARTS)
-        found = pool.kernel(work, count, parts(count, least)) if isinstance(pool, Workers) else None
-        return _pulled(pool, work, count, least) if found is None else found
+        results = pool.kernel(work, count, parts(count, least)) if isinstance(pool, Workers) else None
+        return _pulled(pool, work, count, least) if results is None else results
 
-    return _asked(pool, together, lambda: [work(0, count)])
+    return _run_exclusively(pool, together, lambda: [work(0, count)])
 
 
-def _asked(pool: Workers | Executed, together: Callable[[], T], alone: Callable[[], T]) -> T:
+def _run_exclusively(pool: Workers | Executed, together: Callable[[], T], alone: Callable[[], T]) -> T:
     """Return the result of `together` if no other caller uses the pool, else that of `alone`."""
     own = object()
     try:
@@ -186,39 +186,39 @@ def _asked(pool: Workers | Executed, together: Callable[[], T], alone: Callable[
 def _pulled(pool: Workers | Executed, work: Callable[[int, int], T], count: int, parts: int) -> list[T]:
     """Return the results of parts that are Python functions. Raises the exception of the first part that failed; later parts may
     not have started."""
-    given: dict[int, T] = {}
+    results: dict[int, T] = {}
     failed: dict[int, BaseException] = {}
     coming = iter(range(parts))
 
-    def some(_: int) -> None:
+    def run_parts(_: int) -> None:
         for k in coming:  # the next one that is free
             try:
-                given[k] = work(count * k // parts, count * (k + 1) // parts)
+                results[k] = work(count * k // parts, count * (k + 1) // parts)
             except BaseException as problem:
                 failed[k] = problem
                 return
 
-    pool.do(some, parts - 1)
+    pool.do(run_parts, parts - 1)
     if failed:
         raise failed[min(failed)]
-    return [given[k] for k in range(parts)]
+    return [results[k] for k in range(parts)]
 
 
 def side_by_side(work: Callable[[int], object], threads: int) -> None:
     """As `parallel.side_by_side`."""
-    pool = _kept_for(threads)
-    _asked(pool, lambda: pool.do(work, threads - 1), lambda: work(0))
+    pool = _pool_for(threads)
+    _run_exclusively(pool, lambda: pool.do(work, threads - 1), lambda: work(0))
 
 
 def listed(function: Callable[[int, int, int], None], parts: NDArray[np.int64], threads: int) -> None:
     """As `parallel.listed`."""
-    pool = _kept_for(threads)
+    pool = _pool_for(threads)
 
     def alone() -> None:
         for part in parts.tolist():
             function(*part)
 
-    _asked(pool, partial(pool.call, function, parts) if isinstance(pool, Workers) else alone, alone)
+    _run_exclusively(pool, partial(pool.call, function, parts) if isinstance(pool, Workers) else alone, alone)
 
 
 @cache
@@ -227,25 +227,25 @@ def possible() -> bool:
     return machine.available() and direct.possible() and all(hasattr(ctypes.pythonapi, name) for name in _LOCKS)
 
 
-_kept: dict[int, Workers | Executed] = {}
+_pools: dict[int, Workers | Executed] = {}
 _guard = Lock()
 
 
-def _kept_for(threads: int) -> Workers | Executed:
+def _pool_for(threads: int) -> Workers | Executed:
     """Return the cached pool for a number of threads, the caller's included. It runs machine code where that is possible."""
-    found = _kept.get(threads)
-    if found is None:
+    pool = _pools.get(threads)
+    if pool is None:
         with _guard:
-            found = _kept.get(threads)
-            if found is None:
-                found = _kept[threads] = Workers(threads - 1) if possible() else Executed(threads - 1)
-    return found
+            pool = _pools.get(threads)
+            if pool is None:
+                pool = _pools[threads] = Workers(threads - 1) if possible() else Executed(threads - 1)
+    return pool
 
 
 def _forget() -> None:
     """Forget the threads in a forked process, which has none of them."""
     global _guard
-    _kept.clear()
+    _pools.clear()
     _guard = Lock()
 
 
@@ -255,7 +255,7 @@ if hasattr(os, "register_at_fork"):
 
 @atexit.register
 def _end() -> None:
-    for each in _kept.values():
+    for each in _pools.values():
         each.end()
 
 
@@ -267,20 +267,20 @@ def _lock() -> int:
     """A lock of CPython's that is taken."""
     allocate = ctypes.CFUNCTYPE(ctypes.c_void_p)(_place(_LOCKS[0]))
     acquire = ctypes.CFUNCTYPE(ctypes.c_int, ctypes.c_void_p, ctypes.c_int)(_place(_LOCKS[1]))
-    found: int | None = allocate()
-    if not found:
+    lock: int | None = allocate()
+    if not lock:
         raise MemoryError
-    acquire(found, 1)
-    return found
+    acquire(lock, 1)
+    return lock
 
 
 @cache
 def _turns() -> int:
     """Return how many turns a thread without work spins before it sleeps."""
-    wait, room = words.code().function("turns"), np.zeros(1, np.int64)
+    wait, buffer = words.code().function("turns"), np.zeros(1, np.int64)
     spent = []
     for _ in range(3):
         began = perf_counter()
-        wait(address(room), _TRIED, 0)
+        wait(address(buffer), _TRIED, 0)
         spent.append(perf_counter() - began)
     return max(1, int(_TRIED * _AWAKE / min(spent)))

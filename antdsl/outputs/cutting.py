@@ -28,18 +28,18 @@ class Cut:
     @staticmethod
     def of(text: str) -> Cut | None:
         """Parse text such as `z > 0`; None for any other text."""
-        found = _WRITTEN.fullmatch(text)
-        return None if found is None else Cut("xyz".index(found[1]), float(found[3]), found[2] == "<")
+        match = _WRITTEN.fullmatch(text)
+        return None if match is None else Cut("xyz".index(match[1]), float(match[3]), match[2] == "<")
 
-    def gone(self, places: NDArray[np.float64]) -> NDArray[np.bool_]:
+    def is_cut_away(self, points: NDArray[np.float64]) -> NDArray[np.bool_]:
         """Which places [n,3] are taken away."""
-        along = places[:, self.axis]
+        along = points[:, self.axis]
         return along < self.at if self.below else along > self.at
 
-    def painted(self, places: NDArray[np.float64], near: float) -> NDArray[np.float64]:
+    def painted(self, points: NDArray[np.float64], near: float) -> NDArray[np.float64]:
         """Return colours [n,3] of a solid's vertices: dark on the plane, so that cavities are visible, and none elsewhere."""
-        colour = np.full((len(places), 3), np.nan)
-        colour[np.abs(places[:, self.axis] - self.at) < near] = _SECTION
+        colour = np.full((len(points), 3), np.nan)
+        colour[np.abs(points[:, self.axis] - self.at) < near] = _SECTION
         return colour
 
     def opened(self, volume: Volume, offset: NDArray[np.float64], scale: float) -> Volume:
@@ -67,12 +67,12 @@ class Cut:
         return replace(
             whole,
             solids=tuple(self._mesh(solid) for solid in whole.solids),
-            crowds=tuple(crowd.rows(~self.gone(crowd.position)) for crowd in whole.crowds),
-            items=tuple(item for item in whole.items if not self.gone(np.array([item.position]))[0]),
-            trails=tuple(replace(t, strength=np.where(self.gone(t.position), 0.0, t.strength)) for t in whole.trails),
+            crowds=tuple(crowd.rows(~self.is_cut_away(crowd.position)) for crowd in whole.crowds),
+            items=tuple(item for item in whole.items if not self.is_cut_away(np.array([item.position]))[0]),
+            trails=tuple(replace(t, strength=np.where(self.is_cut_away(t.position), 0.0, t.strength)) for t in whole.trails),
         )
 
     def _mesh(self, solid: Solid) -> Solid:
-        gone = self.gone(solid.vertices)
-        kept = ~gone[solid.faces].all(axis=1)
-        return solid if kept.all() else replace(solid, faces=solid.faces[kept])
+        is_removed = self.is_cut_away(solid.vertices)
+        is_visible = ~is_removed[solid.faces].all(axis=1)
+        return solid if is_visible.all() else replace(solid, faces=solid.faces[is_visible])

@@ -27,7 +27,7 @@ from antdsl.outputs.pictures.cameras import camera_at_eye_level, camera_holding,
 from antdsl.outputs.pictures.legend import strip_width, with_strip
 from antdsl.outputs.pictures.model import Camera, Picture
 from antdsl.outputs.pictures.render import Renderer
-from antdsl.whole import write_whole
+from antdsl.whole import write_atomically
 
 _WORD = "antdsl"  # of the text in a PNG file that holds the hash
 STILL_BYTES = 512 * limits.MIB
@@ -80,35 +80,35 @@ class Drawn:
 class Drawer:
     """Drawer of some `frames` of a gallery, on several threads. A fixed camera is chosen from the first of them."""
 
-    def __init__(self, gallery: Gallery, wanted: Drawn, frames: Sequence[int], threads: int) -> None:
-        self.gallery, self.wanted, self.frames = gallery, wanted, list(frames)
-        self._agents = frozenset(wanted.agents)
+    def __init__(self, gallery: Gallery, request: Drawn, frames: Sequence[int], threads: int) -> None:
+        self.gallery, self.wanted, self.frames = gallery, request, list(frames)
+        self._agents = frozenset(request.agents)
         first = gallery.picture(self.frames[0], agents=self._agents)
-        self._strip = strip_width(first, wanted.width, wanted.show) if wanted.legend else 0
-        least, enlarged = (LEAST, ENLARGED) if wanted.least is None else (wanted.least, float("inf"))
-        size = wanted.width - self._strip, wanted.height
-        self._renderer = Renderer(*size, threads=threads, marks=wanted.marks, blur=wanted.blur, least=least, enlarged=enlarged)
+        self._strip = strip_width(first, request.width, request.show) if request.legend else 0
+        least, enlarged = (LEAST, ENLARGED) if request.least is None else (request.least, float("inf"))
+        size = request.width - self._strip, request.height
+        self._renderer = Renderer(*size, threads=threads, marks=request.marks, blur=request.blur, least=least, enlarged=enlarged)
         self._standing = self._camera(first)
 
     def draw(self, frame: int) -> NDArray[np.uint8]:
         """Draw one frame (height, width, 3). Raises CacheError if it is damaged, NoPicture if it cannot be drawn, NoAgent if a
         camera finds no agent. Raises ValueError for an unknown word in `show`."""
-        wanted, picture = self.wanted, self.gallery.picture(frame, agents=self._agents)
-        follows = wanted.camera in ("eye", "close") and not wanted.rest
-        moves = wanted.camera == "scene" and self.gallery.camera_moves
+        request, picture = self.wanted, self.gallery.picture(frame, agents=self._agents)
+        follows = request.camera in ("eye", "close") and not request.rest
+        moves = request.camera == "scene" and self.gallery.camera_moves
         camera = self._camera(picture) if follows or moves else self._standing
-        return with_strip(self._renderer.draw(picture, camera, show=wanted.show), picture, self._strip, wanted.show)
+        return with_strip(self._renderer.draw(picture, camera, show=request.show), picture, self._strip, request.show)
 
     def _camera(self, picture: Picture) -> Camera:
         which, agents = self.wanted.camera, self.wanted.agents
         aspect = self._renderer.width / self._renderer.height
         if which in ("eye", "close"):
             close = which == "close"
-            found = camera_at_eye_level(picture, agents[0] if agents else None, focal=35.0 if close else 26.0, close=close)
-            if found is not None:
-                return found
+            camera = camera_at_eye_level(picture, agents[0] if agents else None, focal=35.0 if close else 26.0, close=close)
+            if camera is not None:
+                return camera
             if agents or any(len(crowd.position) for crowd in picture.crowds):
-                raise NoAgent(_nobody(picture, agents))
+                raise NoAgent(_describe_missing_agent(picture, agents))
             which = "fit"  # a frame without agents, as the end of a hunt: the other frames of a film still count
         if which == "top":
             return camera_on_top(picture, aspect=aspect)
@@ -118,7 +118,7 @@ class Drawer:
         return own if own is not None else camera_over(picture, aspect=aspect)
 
 
-def _nobody(picture: Picture, agents: Sequence[int]) -> str:
+def _describe_missing_agent(picture: Picture, agents: Sequence[int]) -> str:
     """Return a message that a camera finds no agent, with the agents that exist."""
     counts: dict[str, int] = {}
     for crowd in picture.crowds:
@@ -138,25 +138,25 @@ class Stills:
     """The requested stills of a cache in a folder."""
 
     folder: Path
-    wanted: Drawn
+    request: Drawn
     _lines: Mapping[int, Line]
-    _about: str
+    _inputs: str
 
     @classmethod
-    def of(cls, folder: Path, cache: Cache, wanted: Drawn, together: Sequence[int]) -> Stills:
+    def of(cls, folder: Path, cache: Cache, request: Drawn, together: Sequence[int]) -> Stills:
         """Open the stills of a cache. The hash covers data that identifies the cache's frames. `together`: the frames that the
         camera is chosen for."""
         read = cache.manifest.model_copy(update={"made_with": None}).model_dump_json()  # pictures do not depend on it
         manifest = blake2b(read.encode(), digest_size=16).hexdigest()
         frames = cache.frames()
-        about = {
+        inputs = {
             "antdsl": __version__,
             "manifest": manifest,
             "frames": [len(frames), *frames[:1], *frames[-1:]],
-            "wanted": wanted.document(),
+            "wanted": request.document(),
             "together": list(together),
         }
-        return cls(folder, wanted, cache.lines(), json.dumps(about, sort_keys=True))
+        return cls(folder, request, cache.lines(), json.dumps(inputs, sort_keys=True))
 
     def put(self, frame: int, image: Image) -> Path:
         """Write the picture (h, w, 3) of a frame, atomically. It is not synced."""
@@ -167,23 +167,23 @@ class Stills:
         words.add_text(_WORD, self._hash(frame))
         data = io.BytesIO()
         PillowImage.fromarray(image).save(data, "PNG", compress_level=4, pnginfo=words)
-        write_whole(still_path(self.folder, frame), data.getvalue(), sync=False)
+        write_atomically(still_path(self.folder, frame), data.getvalue(), sync=False)
         return still_path(self.folder, frame)
 
-    def kept(self, frame: int) -> Image | None:
+    def read_still(self, frame: int) -> Image | None:
         """Return the picture (h, w, 3) of a frame if it exists, is complete, and was drawn from the same inputs as now; else
         None."""
         from antdsl.reader.image_request import ImageError, read_image_file
 
         try:
             data = read_bounded(still_path(self.folder, frame), STILL_BYTES)
-            picture = read_image_file(data, "PNG", ("RGB",), self.wanted.width * self.wanted.height)
+            picture = read_image_file(data, "PNG", ("RGB",), self.request.width * self.request.height)
         except (OSError, ImageError):
             return None
-        if (picture.columns, picture.rows) != (self.wanted.width, self.wanted.height):
+        if (picture.columns, picture.rows) != (self.request.width, self.request.height):
             return None
         return picture.samples if picture.texts.get(_WORD) == self._hash(frame) else None
 
     def _hash(self, frame: int) -> str:
         line = self._lines.get(frame)
-        return blake2b(f"{frame} {line.file if line else ''} {self._about}".encode(), digest_size=16).hexdigest()
+        return blake2b(f"{frame} {line.file if line else ''} {self._inputs}".encode(), digest_size=16).hexdigest()

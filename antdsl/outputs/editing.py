@@ -18,7 +18,7 @@ from antdsl.outputs.cache.hashes import HASHES, hash_of_static, line_of
 from antdsl.outputs.cache.lock import FolderLock
 from antdsl.outputs.cache.manifest import way_to, write_manifest
 from antdsl.outputs.cache.npz import npz_file
-from antdsl.whole import sync_files, write_whole
+from antdsl.whole import sync_files, write_atomically
 
 LEAST, MOST = 3, 99  # frames
 _NEEDED = ("id", "orient")
@@ -41,31 +41,31 @@ def smooth_orientations(cache: Cache, folder: Path, width: int, *, force: bool =
         clear(folder)
         (folder / "manifest.json").unlink(missing_ok=True)  # until all is there the folder is no cache
         static = npz_file(cache.static())
-        write_whole(folder / STATIC, static.parts)
+        write_atomically(folder / STATIC, static.parts)
         yield from _frames(cache, folder, width)
         sync_files(frame_path(folder, number) for number in cache.frames())
         edits = sum(name.startswith("edit ") for name in cache.manifest.inputs)
         inputs = {**cache.manifest.inputs, f"edit {edits + 1}": f"smooth orient:{width}"}
-        change = {"static": hash_of_static(static), "inputs": inputs, "scene_path": _way(cache, folder)}
+        change = {"static": hash_of_static(static), "inputs": inputs, "scene_path": _scene_path(cache, folder)}
         write_manifest(folder, cache.manifest.model_copy(update=change))
 
 
 def _frames(cache: Cache, folder: Path, width: int) -> Iterator[int]:
     """Write the frames in order, with the orientations of `width` frames in memory at a time."""
     numbers, states, lines = cache.frames(), cache.hashes(), []
-    there, near = set(numbers), {}
+    existing_frames, near = set(numbers), {}
     for number in numbers:
         for each in range(number - width // 2, number + width // 2 + 1):
-            if each in there and each not in near:
+            if each in existing_frames and each not in near:
                 near[each] = _oriented(cache, each)
         for past in [each for each in near if each < number - width // 2]:
             del near[past]
         arrays = {**cache.frame(number), "orient": smoothed(near, number, width)}
         file = npz_file(arrays)
-        write_whole(frame_path(folder, number), file.parts, sync=False)
+        write_atomically(frame_path(folder, number), file.parts, sync=False)
         lines.append(line_of(number, states.get(number, ""), file).text(number))
         yield number
-    write_whole(folder / HASHES, b"".join(lines))
+    write_atomically(folder / HASHES, b"".join(lines))
 
 
 def _oriented(cache: Cache, number: int) -> Oriented:
@@ -80,7 +80,7 @@ def _oriented(cache: Cache, number: int) -> Oriented:
     return Oriented(key, orient.astype(np.float64))
 
 
-def _way(cache: Cache, folder: Path) -> str | None:
+def _scene_path(cache: Cache, folder: Path) -> str | None:
     """The way to the scene from another folder."""
     if cache.manifest.scene_path is None:
         return None
@@ -103,34 +103,36 @@ def smoothed(frames: Mapping[int, Oriented], frame: int, width: int) -> NDArray[
 
     Quaternions are added with the sign that lies nearer to the next frame's towards the middle, and normalised. For small angles
     this is the mean of F. L. Markley et al., Averaging Quaternions, J. Guidance, Control, and Dynamics 30 (2007)."""
-    here, half = frames[frame], width // 2
-    sides = [_side(frames, frame, way, half) for way in (-1, 1)]
+    current, half = frames[frame], width // 2
+    sides = [_side(frames, frame, direction, half) for direction in (-1, 1)]
     reach = np.minimum(sides[0][1], sides[1][1])
-    total = here.orient.copy()
+    total = current.orient.copy()
     for k in range(half):
         angle = np.minimum((k + 1) / (reach + 1), 1.0) * np.pi  # beyond its reach an agent counts for nothing
         total += (0.5 + 0.5 * np.cos(angle))[:, None] * (sides[0][0][k] + sides[1][0][k])
     size = np.sqrt((total * total).sum(axis=1))
     good = np.isfinite(size) & (size > 1e-6)
-    return np.where(good[:, None], total / np.where(good, size, 1.0)[:, None], here.orient).astype(np.float32)
+    return np.where(good[:, None], total / np.where(good, size, 1.0)[:, None], current.orient).astype(np.float32)
 
 
-def _side(frames: Mapping[int, Oriented], frame: int, way: int, half: int) -> tuple[list[NDArray[np.float64]], NDArray[np.int64]]:
+def _side(
+    frames: Mapping[int, Oriented], frame: int, direction: int, half: int
+) -> tuple[list[NDArray[np.float64]], NDArray[np.int64]]:
     """Return the orientations of a frame's agents in `half` frames to one side, the nearest first. Also return in how many of
     these frames each agent exists."""
-    here = frames[frame]
-    last, there, count = here.orient, np.ones(len(here.key), np.bool_), np.zeros(len(here.key), np.int64)
-    found = []
+    current = frames[frame]
+    last, is_present, count = current.orient, np.ones(len(current.key), np.bool_), np.zeros(len(current.key), np.int64)
+    orientations = []
     for k in range(1, half + 1):
-        other = frames.get(frame + way * k)
+        other = frames.get(frame + direction * k)
         if other is None or not len(other.key):
-            there[:] = False
+            is_present[:] = False
         else:
             order = np.argsort(other.key, kind="stable")
-            at = order[np.minimum(np.searchsorted(other.key[order], here.key), len(order) - 1)]
-            there &= other.key[at] == here.key
-            orient = np.where(there[:, None], other.orient[at], last)
+            at = order[np.minimum(np.searchsorted(other.key[order], current.key), len(order) - 1)]
+            is_present &= other.key[at] == current.key
+            orient = np.where(is_present[:, None], other.orient[at], last)
             last = np.where((orient * last).sum(axis=1)[:, None] < 0, -orient, orient)
-        count[there] = k
-        found.append(last)
-    return found, count
+        count[is_present] = k
+        orientations.append(last)
+    return orientations, count

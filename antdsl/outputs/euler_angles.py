@@ -22,31 +22,31 @@ class Angles:
     def of(self, ids: NDArray[np.int64], orient: NDArray[np.floating]) -> Floats:
         """Return degrees (n, 3) of quaternions (n, 4: x, y, z, w); a quaternion of zero length gives no rotation. `ids` (n,)
         ascend."""
-        before = np.zeros((len(ids), 3))
+        previous = np.zeros((len(ids), 3))
         if len(self._ids):
             at = np.minimum(np.searchsorted(self._ids, ids), len(self._ids) - 1)
-            before = np.where((self._ids[at] == ids)[:, None], self._last[at], before)
-        found = nearest_angles(rotation(np.asarray(orient, np.float64)), before)
-        self._ids, self._last = ids.copy(), found
-        return np.degrees(found)
+            previous = np.where((self._ids[at] == ids)[:, None], self._last[at], previous)
+        angles = nearest_angles(rotation(np.asarray(orient, np.float64)), previous)
+        self._ids, self._last = ids.copy(), angles
+        return np.degrees(angles)
 
 
-def nearest_angles(turn: Floats, before: Floats) -> Floats:
-    """Return the angles in radians (n, 3) about x, then y, then z of matrices (n, 3, 3) for columns, nearest to those `before`.
+def nearest_angles(turn: Floats, previous: Floats) -> Floats:
+    """Return the angles in radians (n, 3) about x, then y, then z of matrices (n, 3, 3) for columns, nearest to those `previous`.
 
     The outer angle is computed first, and the others from the remaining rotation. So the three give the matrix even where the
     middle angle is near 90 degrees (M. Day, Extracting Euler Angles from a Rotation Matrix, Insomniac Games, 2014)."""
     flat = np.hypot(turn[:, 0, 0], turn[:, 1, 0])
-    outer = np.where(flat > _LOCKED, np.arctan2(turn[:, 1, 0], turn[:, 0, 0]), before[:, 2])
+    outer = np.where(flat > _LOCKED, np.arctan2(turn[:, 1, 0], turn[:, 0, 0]), previous[:, 2])
     c, s = np.cos(outer), np.sin(outer)
     middle = np.arctan2(-turn[:, 2, 0], c * turn[:, 0, 0] + s * turn[:, 1, 0])
     inner = np.arctan2(s * turn[:, 0, 2] - c * turn[:, 1, 2], c * turn[:, 1, 1] - s * turn[:, 0, 1])
-    one = _unwound(np.stack([inner, middle, outer], axis=1), before)
-    other = _unwound(np.stack([inner + np.pi, np.pi - middle, outer + np.pi], axis=1), before)
-    nearer = ((other - before) ** 2).sum(axis=1) < ((one - before) ** 2).sum(axis=1)
+    one = _unwound(np.stack([inner, middle, outer], axis=1), previous)
+    other = _unwound(np.stack([inner + np.pi, np.pi - middle, outer + np.pi], axis=1), previous)
+    nearer = ((other - previous) ** 2).sum(axis=1) < ((one - previous) ** 2).sum(axis=1)
     return np.where(nearer[:, None], other, one)
 
 
-def _unwound(angles: Floats, before: Floats) -> Floats:
+def _unwound(angles: Floats, previous: Floats) -> Floats:
     """Return each angle plus the full turns that bring it nearest to the previous one."""
-    return angles - 2 * np.pi * np.round((angles - before) / (2 * np.pi))
+    return angles - 2 * np.pi * np.round((angles - previous) / (2 * np.pi))

@@ -18,7 +18,7 @@ from antdsl.outputs.cache.cache_reader import Arrays, CacheError
 from antdsl.outputs.cache.npz import to_bytes
 from antdsl.outputs.csv_text import csv_text
 from antdsl.outputs.gallery import Gallery, place_digits
-from antdsl.whole import whole_file, write_whole
+from antdsl.whole import atomic_file, write_atomically
 
 KINDS = ("birth", "death", "state", "footfall", "emit", "contact")
 HEAD = "frame,seconds,kind,species,id,x,y,z,nx,ny,nz,what,other_species,other,depth"
@@ -29,7 +29,7 @@ _UP = np.array([0.0, 1.0, 0.0])
 class Events:
     """Events of one kind and frame. `species` (by number) and `id` name the agents; `place` and `normal` (k, 3) are in scene
     units. `what`: the number of the new state, the leg or the event, -1 for none. For contacts: the other agent and the
-    penetration depth `deep`."""
+    penetration depth `depth`."""
 
     kind: str
     species: NDArray[np.int64]
@@ -39,7 +39,7 @@ class Events:
     what: NDArray[np.int64]
     other_species: NDArray[np.int64]
     other: NDArray[np.int64]
-    deep: NDArray[np.float64]
+    depth: NDArray[np.float64]
 
 
 def export_csv_events(gallery: Gallery, frames: Iterable[int], path: Path) -> list[str]:
@@ -47,18 +47,20 @@ def export_csv_events(gallery: Gallery, frames: Iterable[int], path: Path) -> li
     be written."""
     frames = list(frames)
     names, digits = [entry.name for entry in gallery.manifest.species], place_digits(gallery)
-    with whole_file(path) as file:
+    with atomic_file(path) as file:
         file.write(f"{HEAD}\n".encode())
-        for frame, found in _all(gallery, frames):
+        for frame, events in _all(gallery, frames):
             rows: list[list[object]] = []
-            for k, word in enumerate(_words(gallery, found)):
-                place = [digits % value for value in found.place[k] + gallery.origin]
-                numbers = [*place, *(f"{value:.9g}" for value in found.normal[k])]
+            for k, word in enumerate(_words(gallery, events)):
+                place = [digits % value for value in events.place[k] + gallery.origin]
+                numbers = [*place, *(f"{value:.9g}" for value in events.normal[k])]
                 other = (
-                    [names[found.other_species[k]], found.other[k], f"{found.deep[k]:.9g}"] if found.other[k] >= 0 else [""] * 3
+                    [names[events.other_species[k]], events.other[k], f"{events.depth[k]:.9g}"]
+                    if events.other[k] >= 0
+                    else [""] * 3
                 )
                 seconds = f"{(frame - gallery.manifest.first) * gallery.dt:.9g}"
-                rows.append([frame, seconds, found.kind, names[found.species[k]], found.id[k], *numbers, word, *other])
+                rows.append([frame, seconds, events.kind, names[events.species[k]], events.id[k], *numbers, word, *other])
             file.write(csv_text(rows).encode())
     return _missing(gallery, frames)
 
@@ -67,11 +69,11 @@ def export_npz_events(gallery: Gallery, frames: Iterable[int], path: Path) -> li
     """Write events as arrays: `KIND.frame`, `KIND.species`, `KIND.id`, `KIND.P`, `KIND.N`, `KIND.what`, and for contacts
     `other_species`, `other` and `depth`. `KIND.P` is relative to `origin` float64[3]."""
     frames = list(frames)
-    found: dict[str, list[tuple[int, Events]]] = {kind: [] for kind in KINDS}
+    events_by_kind: dict[str, list[tuple[int, Events]]] = {kind: [] for kind in KINDS}
     for frame, each in _all(gallery, frames):
-        found[each.kind].append((frame, each))
+        events_by_kind[each.kind].append((frame, each))
     arrays: dict[str, NDArray[Any]] = {"origin": gallery.origin}
-    for kind, parts in found.items():
+    for kind, parts in events_by_kind.items():
         events = [each for _, each in parts]
 
         def put(name: str, values: list[NDArray[Any]], of: type, *wide: int, kind: str = kind) -> None:
@@ -86,56 +88,56 @@ def export_npz_events(gallery: Gallery, frames: Iterable[int], path: Path) -> li
         if kind == "contact":
             put("other_species", [each.other_species for each in events], np.int16)
             put("other", [each.other for each in events], np.int64)
-            put("depth", [each.deep for each in events], np.float32)
-    write_whole(path, to_bytes(arrays))
+            put("depth", [each.depth for each in events], np.float32)
+    write_atomically(path, to_bytes(arrays))
     return _missing(gallery, frames)
 
 
 def _missing(gallery: Gallery, frames: list[int]) -> list[str]:
     arrays = gallery.cache.frame(frames[-1])
     lacks = [kind for kind in ("emit", "contact") if f"events.{kind}.id" not in arrays]
-    asked = ", ".join(lacks)
-    return [f"the cache has no events {' and '.join(f'`{k}`' for k in lacks)}: `output: {{events: [{asked}]}}`"] if lacks else []
+    kinds = ", ".join(lacks)
+    return [f"the cache has no events {' and '.join(f'`{k}`' for k in lacks)}: `output: {{events: [{kinds}]}}`"] if lacks else []
 
 
 def _all(gallery: Gallery, frames: list[int]) -> Iterator[tuple[int, Events]]:
     """Yield the events of frames, kind after kind. Those of the first frame come from a comparison with the frame before it, if
     there is one."""
-    before: Arrays | None
+    previous: Arrays | None
     try:
-        before = gallery.cache.frame(frames[0] - 1)
+        previous = gallery.cache.frame(frames[0] - 1)
     except CacheError:
-        before = None
-    begun: set[tuple[int, ...]] = set() if before is None else _pairs(before)
+        previous = None
+    known_pairs: set[tuple[int, ...]] = set() if previous is None else _pairs(previous)
     for frame in frames:
         arrays = gallery.cache.frame(frame)
-        if before is not None:
-            yield from ((frame, each) for each in _compared(gallery, before, arrays) if len(each.id))
-        for each in _kept(arrays, begun):
+        if previous is not None:
+            yield from ((frame, each) for each in _compared(gallery, previous, arrays) if len(each.id))
+        for each in _stored_events(arrays, known_pairs):
             if len(each.id):
                 yield frame, each
-        before, begun = arrays, _pairs(arrays)
+        previous, known_pairs = arrays, _pairs(arrays)
 
 
-def _compared(gallery: Gallery, before: Arrays, arrays: Arrays) -> Iterator[Events]:
+def _compared(gallery: Gallery, previous: Arrays, arrays: Arrays) -> Iterator[Events]:
     """What two frames tell of."""
-    (was, old), (now, new) = _agents(before), _agents(arrays)
+    (was, old), (now, new) = _agents(previous), _agents(arrays)
     _, left, right = np.intersect1d(was, now, assume_unique=True, return_indices=True)
     yield _events("birth", arrays, np.flatnonzero(~np.isin(now, was)))
-    yield _events("death", before, np.flatnonzero(~np.isin(was, now)))
-    if "state" in arrays and "state" in before:
-        changed = np.sort(right[before["state"][left] != arrays["state"][right]])
+    yield _events("death", previous, np.flatnonzero(~np.isin(was, now)))
+    if "state" in arrays and "state" in previous:
+        changed = np.sort(right[previous["state"][left] != arrays["state"][right]])
         yield _events("state", arrays, changed, np.asarray(arrays["state"], np.int64)[changed])
     for number, entry in enumerate(gallery.manifest.species):
-        down = [each.get(f"feet.{entry.name}.down") for each in (before, arrays)]
-        places = arrays.get(f"feet.{entry.name}.P")
-        if down[0] is None or down[1] is None or places is None:
+        down = [each.get(f"feet.{entry.name}.down") for each in (previous, arrays)]
+        positions = arrays.get(f"feet.{entry.name}.P")
+        if down[0] is None or down[1] is None or positions is None:
             continue
         rows = [np.flatnonzero(each == number) for each in (old, new)]
         _, left, right = np.intersect1d(was[rows[0]], now[rows[1]], assume_unique=True, return_indices=True)
         agent, leg = np.nonzero((down[0][left] == 0) & (down[1][right] != 0))
         row = right[agent]
-        yield _events("footfall", arrays, rows[1][row], leg, np.asarray(places, np.float64)[row, leg])
+        yield _events("footfall", arrays, rows[1][row], leg, np.asarray(positions, np.float64)[row, leg])
 
 
 def _agents(arrays: Arrays) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
@@ -152,27 +154,27 @@ def _events(
     _, species = _agents(arrays)
     up = turned(np.asarray(arrays["orient"], np.float64)[rows], np.tile(_UP, (len(rows), 1)))
     where = np.asarray(arrays["P"], np.float64)[rows] if place is None else place
-    told = none if what is None else np.asarray(what, np.int64)
+    details = none if what is None else np.asarray(what, np.int64)
     ids = np.asarray(arrays["id"], np.int64)[rows]
-    return Events(kind, species[rows], ids, where, up, told, none, none, np.zeros(len(rows)))
+    return Events(kind, species[rows], ids, where, up, details, none, none, np.zeros(len(rows)))
 
 
-def _kept(arrays: Arrays, begun: set[tuple[int, ...]]) -> Iterator[Events]:
+def _stored_events(arrays: Arrays, known_pairs: set[tuple[int, ...]]) -> Iterator[Events]:
     """Yield the events stored in a frame; contacts only if they are not in the frame before."""
     for kind in ("emit", "contact"):
         of = {name.removeprefix(f"events.{kind}."): array for name, array in arrays.items() if name.startswith(f"events.{kind}.")}
         if "id" not in of:
             continue
         none = np.full(len(of["id"]), -1, np.int64)
-        found = Events(
+        events = Events(
             kind, of["species"].astype(np.int64), of["id"], of["P"].astype(np.float64), of["N"].astype(np.float64),
             of.get("event", none).astype(np.int64), of.get("other_species", none).astype(np.int64), of.get("other", none),
             of.get("depth", np.zeros(len(none))).astype(np.float64),
         )  # fmt: skip
         if kind == "contact":
-            new = np.array([pair not in begun for pair in _rows(of)], np.bool_)
-            found = Events(kind, *(getattr(found, name)[new] for name in Events.__slots__[1:]))
-        yield found
+            new = np.array([pair not in known_pairs for pair in _rows(of)], np.bool_)
+            events = Events(kind, *(getattr(events, name)[new] for name in Events.__slots__[1:]))
+        yield events
 
 
 def _pairs(arrays: Arrays) -> set[tuple[int, ...]]:
@@ -185,14 +187,14 @@ def _rows(of: dict[str, NDArray[Any]]) -> list[tuple[int, ...]]:
     return list(zip(*(of[key].tolist() for key in keys), strict=True)) if "other" in of else []
 
 
-def _words(gallery: Gallery, found: Events) -> list[str]:
+def _words(gallery: Gallery, events: Events) -> list[str]:
     """Return the descriptions of events: the state that begins, the leg that lands, the event that is emitted."""
-    species, manifest = found.species.tolist(), gallery.manifest
-    if found.kind == "state":
-        return [manifest.species[s].machines[0].states[k].name for s, k in zip(species, found.what.tolist(), strict=True)]
-    if found.kind == "emit":
-        return [manifest.events[k] for k in found.what.tolist()]
-    if found.kind == "footfall":
+    species, manifest = events.species.tolist(), gallery.manifest
+    if events.kind == "state":
+        return [manifest.species[s].machines[0].states[k].name for s, k in zip(species, events.what.tolist(), strict=True)]
+    if events.kind == "emit":
+        return [manifest.events[k] for k in events.what.tolist()]
+    if events.kind == "footfall":
         legs = {s: [leg.name for leg in gallery.body(s).definition.legs] for s in set(species)}
-        return [legs[s][k] for s, k in zip(species, found.what.tolist(), strict=True)]
+        return [legs[s][k] for s, k in zip(species, events.what.tolist(), strict=True)]
     return [""] * len(species)

@@ -94,11 +94,15 @@ class SomeAgents(Cache):
         which = np.asarray(arrays["species"], np.int64) if "species" in arrays else np.zeros(len(ids), np.int64)
         by_species = {entry.name: chosen[which == k] for k, entry in enumerate(self.manifest.species)}
         named = {*self.manifest.attributes, *_OF_AGENTS}
-        found = {}
+        chosen_arrays = {}
         for name, array in arrays.items():
             rows = chosen if name in named else self._rows(name, arrays, by_species)
-            found[name] = array if rows is None or array.ndim == 0 or len(array) != len(rows) else array[rows]
-        return found if only is None else {name: array for name, array in found.items() if name in only or name == "frame"}
+            chosen_arrays[name] = array if rows is None or array.ndim == 0 or len(array) != len(rows) else array[rows]
+        return (
+            chosen_arrays
+            if only is None
+            else {name: array for name, array in chosen_arrays.items() if name in only or name == "frame"}
+        )
 
     def _beside(self, only: frozenset[str]) -> set[str]:
         """Return the names of the ids that some arrays belong to."""
@@ -108,6 +112,6 @@ class SomeAgents(Cache):
         """Return the rows of the chosen agents in an array; None for an array that is not about agents."""
         word, _, rest = name.partition(".")
         if word in ("pairs", "events"):
-            whose = arrays.get(f"{name.rpartition('.')[0]}.id")
-            return None if whose is None else np.isin(np.asarray(whose), sorted(self.ids))
+            owners = arrays.get(f"{name.rpartition('.')[0]}.id")
+            return None if owners is None else np.isin(np.asarray(owners), sorted(self.ids))
         return by_species.get(rest.partition(".")[0]) if word in _OF_SPECIES else None

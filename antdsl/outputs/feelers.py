@@ -26,17 +26,17 @@ _OPS: dict[str, Callable[..., float]] = {
 
 def feelers_of(program: Program, species: str, params: Mapping[str, Any], unit_mm: float, dt: float) -> tuple[FeelersEntry, ...]:
     """Return all feelers of a species' layers and states. Those with numbers that change from step to step are left out."""
-    found = []
-    for part in _felt(program.species[species]):
+    entries = []
+    for part in _find_feelers(program.species[species]):
         count, spread, reach = (_value(a, 0.0, params, unit_mm, dt) for a in part.args)
         longer = _value(part.args[2], 1.0, params, unit_mm, dt)
         if count is not None and spread is not None and reach is not None and longer is not None:
-            found.append(FeelersEntry(count=int(count), spread=spread, reach=reach / unit_mm, per_length=longer - reach))
-    return tuple(dict.fromkeys(found))
+            entries.append(FeelersEntry(count=int(count), spread=spread, reach=reach / unit_mm, per_length=longer - reach))
+    return tuple(dict.fromkeys(entries))
 
 
 @lru_cache(maxsize=16)  # read for each frame while an agent is followed
-def _felt(species: Species) -> tuple[SetOf, ...]:
+def _find_feelers(species: Species) -> tuple[SetOf, ...]:
     """Return the sets of feelers in a species."""
     return tuple(part for part in parts(species) if isinstance(part, SetOf) and part.source == "feelers")
 

@@ -26,13 +26,13 @@ def arrows(world: World, scale: float) -> dict[str, NDArray[Any]]:
         return {}
     table = meshes.triangles[3]
     step = max(float(meshes.extent) / _ACROSS, 1e-9)
-    found: dict[str, NDArray[Any]] = {}
+    output: dict[str, NDArray[Any]] = {}
     for name, flow in world.flows.items():
         face, (b1, b2) = flow.lattice.faces(), flow.lattice.weights()
         strong = np.flatnonzero(flow.c * flow.c + flow.s * flow.s > _WEAK * _WEAK)
         face, b1, b2 = face[strong], b1[strong], b2[strong]
         place = table.corner.take(face, axis=1) + b1 * table.edge1.take(face, axis=1) + b2 * table.edge2.take(face, axis=1)
-        way = meshes.laid_out(face, flow.c[strong], flow.s[strong])
+        direction = meshes.laid_out(face, flow.c[strong], flow.s[strong])
         cells = np.floor((place.T - meshes.low) / step).astype(np.int64)
         middle = (np.abs(place.T - meshes.low - (cells + 0.5) * step)).sum(axis=1)
         order = np.lexsort((middle, *cells.T))
@@ -40,9 +40,9 @@ def arrows(world: World, scale: float) -> dict[str, NDArray[Any]]:
         first[1:] = (cells[order][1:] != cells[order][:-1]).any(axis=1)
         chosen = order[first]
         lifted = place[:, chosen] + _LIFT * step * table.normal.take(face[chosen], axis=1)
-        found[f"flow.{name}.P"] = scene_places(lifted.T, scale)
-        found[f"flow.{name}.V"] = (way[:, chosen].T * (_LONG * step * scale)).astype(np.float32)
-    return found
+        output[f"flow.{name}.P"] = scene_places(lifted.T, scale)
+        output[f"flow.{name}.V"] = (direction[:, chosen].T * (_LONG * step * scale)).astype(np.float32)
+    return output
 
 
 def drawn(static: Mapping[str, NDArray[Any]]) -> dict[str, tuple[NDArray[np.float64], NDArray[np.float64]]]:

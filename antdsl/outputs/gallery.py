@@ -33,7 +33,7 @@ from antdsl.scene.library_bodies import BODY_WORDS, body_of
 _KINDS: tuple[tuple[str, Kind], ...] = (("boulder", "boulder"), ("rock", "boulder"), ("hill", "hill"), ("stone", "stone"))
 _LOOKS: dict[str, Kind] = {"metal": "metal", "soil": "hill", "leaf": "leaf", "light": "light"}
 _UPS = {"y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
-WANTED = ("P", "orient", "pscale")
+REQUIRED_ATTRIBUTES = ("P", "orient", "pscale")
 _DYES = ((0.68, 0.10, 0.46), (0.05, 0.46, 0.62), (0.80, 0.40, 0.05), (0.30, 0.22, 0.66))  # fields in their order
 _ARROWS = ((250, 246, 226), (60, 214, 255), (255, 150, 60), (190, 140, 255))  # flows in their order
 _DIRECTIONS, _FRAMES_FITTED = 96, 48  # in which agents are outermost; frames that a camera is fitted to
@@ -64,7 +64,7 @@ class Gallery:
         self.origin = np.array(cache.manifest.origin)
         if cut is not None:
             cut = self._cut = replace(cut, at=cut.at - float(self.origin[cut.axis]))
-        missing = [name for name in WANTED if name not in self.manifest.attributes]
+        missing = [name for name in REQUIRED_ATTRIBUTES if name not in self.manifest.attributes]
         if missing:
             raise NoPicture(f"the cache has no attribute `{missing[0]}`, which pictures need")
         strange = [name for name in full or () if name not in {field.name for field in self.manifest.fields}]
@@ -78,8 +78,8 @@ class Gallery:
         self._stones = tuple(self._solid(m) for m in self.manifest.meshes if m.kind != "solid" and m.look != "none")
         self._dug = DugSolids(cache, self.static, cut)
         self.flows = tuple(
-            Arrows(name, place, way, _ARROWS[number % len(_ARROWS)])
-            for number, (name, (place, way)) in enumerate(drawn(self.static).items())
+            Arrows(name, place, displacement, _ARROWS[number % len(_ARROWS)])
+            for number, (name, (place, displacement)) in enumerate(drawn(self.static).items())
         )
         self._worn: dict[tuple[int, int], PosedBody] = {}  # by species and the mask of the layers that are worn
         self._definitions: dict[int, Definition] = {}
@@ -123,18 +123,18 @@ class Gallery:
         turn = np.arange(_DIRECTIONS) * (np.pi * (3.0 - np.sqrt(5.0)))  # a spiral that covers a ball evenly
         height = 1.0 - 2.0 * (np.arange(_DIRECTIONS) + 0.5) / _DIRECTIONS
         flat = np.sqrt(1.0 - height * height)
-        ways = np.stack([flat * np.cos(turn), height, flat * np.sin(turn)])
-        found = [np.empty((0, 3))]
+        directions = np.stack([flat * np.cos(turn), height, flat * np.sin(turn)])
+        points = [np.empty((0, 3))]
         for k in sorted({round(k) for k in np.linspace(0, len(frames) - 1, min(len(frames), _FRAMES_FITTED))}):
             arrays = self.cache.frame(frames[k])
             place = np.asarray(arrays["P"], np.float64)
             scale = np.asarray(arrays["pscale"], np.float64) * self._reaches(arrays)
-            there = np.isfinite(place).all(axis=1) & np.isfinite(scale)
-            place, scale = place[there], scale[there]
+            is_finite = np.isfinite(place).all(axis=1) & np.isfinite(scale)
+            place, scale = place[is_finite], scale[is_finite]
             if len(place):
-                outermost = (place @ ways + scale[:, None]).argmax(axis=0)
-                found.append(place[outermost] + ways.T * scale[outermost, None])
-        return np.concatenate(found)
+                outermost = (place @ directions + scale[:, None]).argmax(axis=0)
+                points.append(place[outermost] + directions.T * scale[outermost, None])
+        return np.concatenate(points)
 
     def _reaches(self, arrays: Arrays) -> NDArray[np.float64] | float:
         """Return the reach of each agent's body from its position, in body lengths: 1 except for species with an agent
@@ -185,25 +185,25 @@ class Gallery:
         return Solid(name, vertices, faces, look if mesh.look is None else _LOOKS[mesh.look])
 
     def _crowds(self, frame: int, arrays: Arrays, agents: frozenset[int]) -> tuple[tuple[Crowd, ...], tuple[LegendRow, ...]]:
-        made: list[Crowd] = []
+        crowds: list[Crowd] = []
         legend: list[LegendRow] = []
-        after = self.cache.frame(frame + 1) if self._blurred and frame + 1 in self.cache.frames() else None
+        next_arrays = self.cache.frame(frame + 1) if self._blurred and frame + 1 in self.cache.frames() else None
         for number, species in enumerate(self.manifest.species):
             rows = _rows_of(number, arrays)
-            whole = self._whole(number, frame, arrays)
-            if after is not None:
-                whole = replace(whole, after=followed(whole, self._whole(number, frame + 1, after)))
-            dressed = self._dressed(whole, number, arrays)
-            made += [self._with_lines(part, species, number, frame) for each in dressed for part in _parted(each, agents)]
+            crowd = self._species_crowd(number, frame, arrays)
+            if next_arrays is not None:
+                crowd = replace(crowd, next_crowd=followed(crowd, self._species_crowd(number, frame + 1, next_arrays)))
+            dressed = self._dressed(crowd, number, arrays)
+            crowds += [self._with_lines(part, species, number, frame) for each in dressed for part in _parted(each, agents)]
             if species.machines and "state" in arrays:
                 counts = np.bincount(np.asarray(arrays["state"])[rows], minlength=len(species.machines[0].states))
                 legend += [
                     LegendRow(state.label or state.name, _bytes(state.colour), int(n), species.name)
                     for state, n in zip(species.machines[0].states, counts, strict=False)
                 ]
-        return tuple(made), tuple(legend)
+        return tuple(crowds), tuple(legend)
 
-    def _whole(self, number: int, frame: int, arrays: Arrays) -> Crowd:
+    def _species_crowd(self, number: int, frame: int, arrays: Arrays) -> Crowd:
         """Return all agents of a species, posed by the clips and appearance in the frame. Agents without a clip play the idle
         clip. The feet are those of the frame."""
         species, rows = self.manifest.species[number], _rows_of(number, arrays)
@@ -261,18 +261,18 @@ class Gallery:
         return replace(crowd, feelers=np.concatenate(lines))
 
     def _items(self, arrays: Arrays) -> tuple[Item, ...]:
-        made = []
+        items = []
         for group in self.manifest.items:
             moved = arrays.get(f"items.{group.name}.P") if group.moves else None
-            places = group.position if moved is None else [three(place) for place in moved]
-            for number, (name, position, radius) in enumerate(zip(group.names, places, group.radius, strict=True)):
+            positions = group.position if moved is None else [three(place) for place in moved]
+            for number, (name, position, radius) in enumerate(zip(group.names, positions, group.radius, strict=True)):
                 look = group.looks[number] if number < len(group.looks) else None
                 shape = cast(Shape, shape_of(group.name, name))
                 if look == "none" or (shape == "none" and look is not None):
                     shape = "none" if look == "none" else "sphere"  # a place that is meant is seen where the scene says of what
                 left = self._left(group.name, group.attributes, number, arrays)
-                made.append(Item(name, position, radius, left, shape, None if look == "none" else look))
-        return tuple(made)
+                items.append(Item(name, position, radius, left, shape, None if look == "none" else look))
+        return tuple(items)
 
     def _left(self, group: str, attributes: tuple[str, ...], number: int, arrays: Arrays) -> float:
         """Return the share of its initial amount that an item still has; 1 for an item that started with nothing."""
@@ -285,19 +285,19 @@ class Gallery:
         return 1.0
 
     def _trails(self, arrays: Arrays) -> tuple[Trail, ...]:
-        made = []
+        trails = []
         for number, field in enumerate(self.manifest.fields):
             cells, values = arrays.get(f"field.{field.name}.cells"), arrays.get(f"field.{field.name}.values")
             if cells is not None and values is not None and len(cells):
-                places = self._places.setdefault(field.name, np.asarray(self.static[f"field.{field.name}.P"], np.float64))
+                positions = self._places.setdefault(field.name, np.asarray(self.static[f"field.{field.name}.P"], np.float64))
                 added = arrays.get(f"field.{field.name}.added")
                 if added is not None:
-                    places = np.concatenate([places, np.asarray(added, np.float64)])
-                strength = np.zeros(len(places))
+                    positions = np.concatenate([positions, np.asarray(added, np.float64)])
+                strength = np.zeros(len(positions))
                 strength[cells] = values
                 full = self._given.get(field.name) or self._strongest().get(field.name) or None
-                made.append(Trail(field.name, places, strength, field.cell, _DYES[number % len(_DYES)], full))
-        return tuple(made)
+                trails.append(Trail(field.name, positions, strength, field.cell, _DYES[number % len(_DYES)], full))
+        return tuple(trails)
 
     def _strongest(self) -> dict[str, float]:
         """Return the strength drawn strongest, by field. It is the same for the complete cache, so that changes of scent are
@@ -339,8 +339,8 @@ def _parted(crowd: Crowd, agents: frozenset[int]) -> list[Crowd]:
     if not agents or crowd.ids is None:
         return [crowd]
     chosen = np.isin(crowd.ids, sorted(agents))
-    some, others = crowd.rows(chosen), crowd.rows(~chosen)
-    return [some, replace(others, ids=None, velocity=None)]
+    selected, others = crowd.rows(chosen), crowd.rows(~chosen)
+    return [selected, replace(others, ids=None, velocity=None)]
 
 
 def _bytes(colour: tuple[float, float, float]) -> tuple[int, int, int]:

@@ -23,7 +23,7 @@ from antdsl.outputs.cache.pose_arrays import machines_of
 from antdsl.outputs.gallery import Gallery
 from antdsl.outputs.numbered_files import numbered
 from antdsl.scene.model import UNIT_MM
-from antdsl.whole import write_whole
+from antdsl.whole import write_atomically
 
 Floats = NDArray[np.float64]
 _HALF = float(np.sqrt(0.5))
@@ -40,23 +40,23 @@ def export_geo(gallery: Gallery, frames: Iterable[int], path: Path) -> None:
     for frame in frames:
         arrays = gallery.cache.frame(frame)
         text = json.dumps(_geometry(gallery, frame, arrays), separators=(",", ":"), allow_nan=False)
-        write_whole(numbered(path, frame), (text + "\n").encode("ascii"), sync=False)
+        write_atomically(numbered(path, frame), (text + "\n").encode("ascii"), sync=False)
 
 
 def _geometry(gallery: Gallery, frame: int, arrays: Arrays) -> list[Any]:
     manifest, count = gallery.manifest, len(arrays["P"])
     points = [_numbers(name, values, kind) for name, (values, kind) in _of_points(gallery, frame, arrays).items()]
     points += [_strings(name, table, indices) for name, (table, indices) in _names(gallery, arrays).items()]
-    whole = [
+    global_attributes = [
         _numbers("fps", np.array([1 / gallery.dt])), _numbers("meters_per_unit", np.array([UNIT_MM[manifest.units] / 1000])),
     ]  # fmt: skip
     if gallery.origin.any():
-        whole.append(_numbers("origin", _upright(gallery.origin[None], manifest.up == "z"), storage="fpreal64"))
+        global_attributes.append(_numbers("origin", _upright(gallery.origin[None], manifest.up == "z"), storage="fpreal64"))
     return [
         "fileversion", "18.5.0", "hasindex", False, "pointcount", count, "vertexcount", 0, "primitivecount", 0,
         "info", {"software": f"antdsl {manifest.antdsl}", "scene": manifest.scene, "frame": frame},
         "topology", ["pointref", ["indices", []]],
-        "attributes", ["pointattributes", points, "globalattributes", whole],
+        "attributes", ["pointattributes", points, "globalattributes", global_attributes],
     ]  # fmt: skip
 
 
@@ -64,21 +64,21 @@ def _of_points(gallery: Gallery, frame: int, arrays: Arrays) -> dict[str, tuple[
     """Return the numeric attributes of agents, each with its kind of vector."""
     z_up, count = gallery.manifest.up == "z", len(arrays["P"])
     turn = unit_quaternion(np.asarray(arrays["orient"], np.float64))
-    found = {"P": (_upright(arrays["P"], z_up), "point")}
+    attributes = {"P": (_upright(arrays["P"], z_up), "point")}
     if "v" in arrays:
-        found["v"] = (_upright(arrays["v"] + arrays.get("v_ground", np.float32(0)), z_up), "vector")
-    found["w"] = (_upright(_spin(gallery, frame, arrays, turn), z_up), "vector")
+        attributes["v"] = (_upright(arrays["v"] + arrays.get("v_ground", np.float32(0)), z_up), "vector")
+    attributes["w"] = (_upright(_spin(gallery, frame, arrays, turn), z_up), "vector")
     facing = product(turn, np.broadcast_to(_FROM_Z, turn.shape))
-    found["orient"] = (product(np.broadcast_to(_TO_Y, turn.shape), facing) if z_up else facing, "quaternion")
-    found["pscale"] = (np.asarray(arrays["pscale"], np.float64), "")
+    attributes["orient"] = (product(np.broadcast_to(_TO_Y, turn.shape), facing) if z_up else facing, "quaternion")
+    attributes["pscale"] = (np.asarray(arrays["pscale"], np.float64), "")
     if "Cd" in arrays:
-        found["Cd"] = (np.asarray(arrays["Cd"], np.float64), "color")
+        attributes["Cd"] = (np.asarray(arrays["Cd"], np.float64), "color")
     if "id" in arrays:
-        found["id"] = (np.asarray(arrays["id"], np.int64), "")
+        attributes["id"] = (np.asarray(arrays["id"], np.int64), "")
     for name, values in arrays.items():
         if name not in _OWN and "." not in name and values.ndim == 1 and len(values) == count:
-            found[name] = (np.asarray(values, np.int64 if values.dtype.kind in "iu" else np.float64), "")
-    return {name: (np.nan_to_num(values), kind) for name, (values, kind) in found.items()} | _clip_numbers(gallery, arrays)
+            attributes[name] = (np.asarray(values, np.int64 if values.dtype.kind in "iu" else np.float64), "")
+    return {name: (np.nan_to_num(values), kind) for name, (values, kind) in attributes.items()} | _clip_numbers(gallery, arrays)
 
 
 def _names(gallery: Gallery, arrays: Arrays) -> dict[str, tuple[list[str], NDArray[np.int64]]]:
@@ -87,7 +87,7 @@ def _names(gallery: Gallery, arrays: Arrays) -> dict[str, tuple[list[str], NDArr
     which = _which(arrays)
     species = [entry.name for entry in manifest.species]
     ids = np.asarray(arrays["id"], np.int64) if "id" in arrays else np.arange(count)
-    found = {
+    tables = {
         "species": (species, which),
         "agentname": ([f"{species[s]}_{n}" for s, n in zip(which.tolist(), ids.tolist(), strict=True)], np.arange(count)),
     }
@@ -95,43 +95,43 @@ def _names(gallery: Gallery, arrays: Arrays) -> dict[str, tuple[list[str], NDArr
         states = [[state.name for state in entry.machines[0].states] if entry.machines else [] for entry in manifest.species]
         starts = np.cumsum([0, *map(len, states)])[:-1]
         known = np.asarray(arrays["state"], np.int64) + starts[which]
-        found["state"] = ([name for each in states for name in each], np.where([bool(states[s]) for s in which], known, -1))
-    return found | _clip_names(gallery, arrays)
+        tables["state"] = ([name for each in states for name in each], np.where([bool(states[s]) for s in which], known, -1))
+    return tables | _clip_names(gallery, arrays)
 
 
 def _clip_numbers(gallery: Gallery, arrays: Arrays) -> dict[str, tuple[NDArray[Any], str]]:
     """Return `clipN_time` in seconds and `clipN_weight` of the clips that each agent plays."""
-    found: dict[str, tuple[NDArray[Any], str]] = {}
+    attributes: dict[str, tuple[NDArray[Any], str]] = {}
     for number, entry, rows, machines in _players(gallery, arrays):
         seconds = _seconds(gallery, number, entry)
         for slot, (clip, turns, weight) in enumerate(_slots(machines, len(rows))):
             for name, values in (("time", turns * seconds[clip]), ("weight", weight)):
-                whole, _ = found.setdefault(f"clip{slot}_{name}", (np.zeros(len(arrays["P"])), ""))
-                whole[rows] = values
-    return found
+                column, _ = attributes.setdefault(f"clip{slot}_{name}", (np.zeros(len(arrays["P"])), ""))
+                column[rows] = values
+    return attributes
 
 
 def _clip_names(gallery: Gallery, arrays: Arrays) -> dict[str, tuple[list[str], NDArray[np.int64]]]:
     """`clipN`, the name of a clip, and `clipN_group`, the transform group that it moves."""
-    found: dict[str, tuple[list[str], NDArray[np.int64]]] = {}
+    attributes: dict[str, tuple[list[str], NDArray[np.int64]]] = {}
     for _, entry, rows, machines in _players(gallery, arrays):
         for slot, (clip, _, _) in enumerate(_slots(machines, len(rows))):
             for name, texts in (("", [each.name for each in entry.clips]), ("_group", [each.on for each in entry.clips])):
-                table, whole = found.setdefault(f"clip{slot}{name}", ([], np.full(len(arrays["P"]), -1, np.int64)))
-                whole[rows] = np.where(clip >= 0, clip + len(table), -1)
+                table, indices = attributes.setdefault(f"clip{slot}{name}", ([], np.full(len(arrays["P"]), -1, np.int64)))
+                indices[rows] = np.where(clip >= 0, clip + len(table), -1)
                 table.extend(texts)
-    return found
+    return attributes
 
 
 def _players(gallery: Gallery, arrays: Arrays) -> list[tuple[int, SpeciesEntry, NDArray[np.intp], tuple[MachineClips, ...]]]:
     """Return the species that play clips: number, entry, rows and the clips of their machines."""
-    found = []
+    players = []
     for number, entry in enumerate(gallery.manifest.species):
         rows = np.flatnonzero(_which(arrays) == number)
         machines = machines_of(entry, arrays, len(rows))
         if machines and entry.clips:
-            found.append((number, entry, rows, machines))
-    return found
+            players.append((number, entry, rows, machines))
+    return players
 
 
 def _slots(machines: Iterable[MachineClips], count: int) -> list[tuple[NDArray[np.int64], Floats, Floats]]:
@@ -139,19 +139,19 @@ def _slots(machines: Iterable[MachineClips], count: int) -> list[tuple[NDArray[n
 
     Houdini normalises weights at each joint. There, a machine's clips replace the clips below them by their total weight; this is
     exact for up to two machines."""
-    found, below = [], np.zeros(count)
+    slots, below = [], np.zeros(count)
     for machine in machines:
         fade = np.clip(machine.fade, 0, 1).astype(np.float64)
-        told = (
+        layers = (
             (machine.before, machine.before_turns, machine.before_weight * fade),
             (machine.clip, machine.turns, machine.weight * (1 - fade)),
         )  # fmt: skip
-        together = np.minimum(sum(np.where(clip >= 0, weight, 0.0) for clip, _, weight in told), 1.0)
+        together = np.minimum(sum(np.where(clip >= 0, weight, 0.0) for clip, _, weight in layers), 1.0)
         over = np.where(below > 0, np.minimum(below / np.maximum(1 - together, 1 / _MOST), _MOST), 1.0)
-        for clip, turns, weight in told:
-            found.append((clip.astype(np.int64), turns.astype(np.float64), np.where(clip >= 0, weight * over, 0.0)))
+        for clip, turns, weight in layers:
+            slots.append((clip.astype(np.int64), turns.astype(np.float64), np.where(clip >= 0, weight * over, 0.0)))
         below = below + together * over
-    return found
+    return slots
 
 
 def _seconds(gallery: Gallery, number: int, entry: SpeciesEntry) -> Floats:
@@ -170,19 +170,19 @@ def _spin(gallery: Gallery, frame: int, arrays: Arrays, turn: Floats) -> Floats:
     before."""
     for other, sign in ((frame + 1, 1.0), (frame - 1, -1.0)):
         try:
-            there = gallery.cache.frame(other, frozenset(["orient", "id", "species"]))
+            other_arrays = gallery.cache.frame(other, frozenset(["orient", "id", "species"]))
         except CacheError:
             continue
-        mine, theirs = _key(arrays), _key(there)
-        _, here, then = np.intersect1d(mine, theirs, assume_unique=True, return_indices=True)
-        was, goes = turn[here], unit_quaternion(np.asarray(there["orient"], np.float64))[then]
+        mine, theirs = _key(arrays), _key(other_arrays)
+        _, rows, then = np.intersect1d(mine, theirs, assume_unique=True, return_indices=True)
+        was, goes = turn[rows], unit_quaternion(np.asarray(other_arrays["orient"], np.float64))[then]
         step = product(goes, was * (-1, -1, -1, 1))
         step = np.where(step[:, 3:] < 0, -step, step)
         sine = np.linalg.norm(step[:, :3], axis=1)
         angle = 2 * np.arctan2(sine, step[:, 3])
-        found = np.zeros((len(turn), 3))
-        found[here] = step[:, :3] * (sign * angle / np.maximum(sine, 1e-12) / gallery.dt)[:, None]
-        return found
+        velocity = np.zeros((len(turn), 3))
+        velocity[rows] = step[:, :3] * (sign * angle / np.maximum(sine, 1e-12) / gallery.dt)[:, None]
+        return velocity
     return np.zeros((len(turn), 3))
 
 
@@ -192,23 +192,23 @@ def _key(arrays: Arrays) -> NDArray[np.int64]:
 
 
 def _upright(vectors: NDArray[Any], z_up: bool) -> Floats:
-    found = np.asarray(vectors, np.float64)
-    return np.stack([found[:, 0], found[:, 2], -found[:, 1]], axis=1) if z_up else found
+    xyz = np.asarray(vectors, np.float64)
+    return np.stack([xyz[:, 0], xyz[:, 2], -xyz[:, 1]], axis=1) if z_up else xyz
 
 
 def _numbers(name: str, values: NDArray[Any], kind: str = "", storage: str = "fpreal32") -> list[Any]:
     """A numeric attribute of (n,) or (n, k) values."""
-    whole = values.dtype.kind == "i"
-    storage = "int64" if whole else storage
+    is_integer = values.dtype.kind == "i"
+    storage = "int64" if is_integer else storage
     size = 1 if values.ndim == 1 else values.shape[1]
     options: Mapping[str, Any] = {"type": {"type": "string", "value": kind}} if kind else {}
     if storage == "fpreal32":
         values = values.astype(np.float32)
-    given = ["tuples", values.tolist()] if size > 1 else ["arrays", [values.tolist()]]
-    default = ["size", 1, "storage", "int64" if whole else "fpreal64", "values", [0]]
+    value_list = ["tuples", values.tolist()] if size > 1 else ["arrays", [values.tolist()]]
+    default = ["size", 1, "storage", "int64" if is_integer else "fpreal64", "values", [0]]
     return [
         ["scope", "public", "type", "numeric", "name", name, "options", options],
-        ["size", size, "storage", storage, "defaults", default, "values", ["size", size, "storage", storage, *given]],
+        ["size", size, "storage", storage, "defaults", default, "values", ["size", size, "storage", storage, *value_list]],
     ]
 
 

@@ -24,8 +24,8 @@ from antdsl.outputs.gltf_stage import Stage
 from antdsl.outputs.numbered_files import NoExport
 from antdsl.outputs.pictures.light import decoded
 from antdsl.outputs.pictures.model import Crowd
-from antdsl.outputs.poses_export import FEWER, NONE, Worn, places, worn_crowds
-from antdsl.whole import write_whole
+from antdsl.outputs.poses_export import FEWER, NONE, Worn, placement_matrices, worn_crowds
+from antdsl.whole import write_atomically
 
 _AGENTS, _BYTES = 1000, 1 << 28  # the most that one file is good for
 _SHEAR = 1e-4
@@ -46,7 +46,7 @@ def export_gltf(gallery: Gallery, frames: Iterable[int], path: Path) -> list[str
     for frame in frames:
         stage.note(gallery.picture(frame))
     stage.finish()
-    write_whole(path, stage.writer.bytes(path.suffix.lower() == ".gltf", scene=0, scenes=[stage.scene]))
+    write_atomically(path, stage.writer.bytes(path.suffix.lower() == ".gltf", scene=0, scenes=[stage.scene]))
     return [*crowd.notes(), *stage.notes]
 
 
@@ -74,26 +74,26 @@ class _Crowd:
 
     @staticmethod
     def gathered(gallery: Gallery, frames: list[int]) -> _Crowd:
-        found: dict[Worn, _Body] = {}
-        made = _Crowd(found)
+        bodies: dict[Worn, _Body] = {}
+        output = _Crowd(bodies)
         size = 0
         for number, frame in enumerate(frames):
             for key, crowd, worn in worn_crowds(gallery.picture(frame)):
-                body = found.setdefault(key, _Body(worn))
+                body = bodies.setdefault(key, _Body(worn))
                 size += len(crowd.position) * (40 * len(worn.definition.rig.names) + 64)
-                made._add(key, body, crowd, number)
-            agents = sum(len(body.colour) for body in found.values())
+                output._add(key, body, crowd, number)
+            agents = sum(len(body.colour) for body in bodies.values())
             if agents > _AGENTS or size > _BYTES:
                 many = f"{agents:,} agents with joints" if agents > _AGENTS else f"more than {_BYTES >> 20} MiB of keys"
                 raise NoExport(f"glTF is for small crowds: these are {many}", f"{FEWER}, or write USD: `.usdc`")
-        return made
+        return output
 
     def _add(self, key: Worn, body: _Body, crowd: Crowd, number: int) -> None:
         poses = crowd.poses(local=True)
         assert poses.local is not None and crowd.ids is not None
         body.frame.append(np.full(len(crowd.position), number, np.int64))
         body.ids.append(np.asarray(crowd.ids, np.int64))
-        body.place.append(places(crowd, body.worn.definition))
+        body.place.append(placement_matrices(crowd, body.worn.definition))
         body.local.append(square(poses.local))
         body.channels.append(np.ascontiguousarray(poses.channels))
         for one, colour in zip(body.ids[-1].tolist(), np.asarray(crowd.colour).tolist(), strict=True):
@@ -104,15 +104,15 @@ class _Crowd:
         return self.bodies[key].colour
 
     def notes(self) -> list[str]:
-        found = [] if self.bodies else [NONE]
-        found += [
+        messages = [] if self.bodies else [NONE]
+        messages += [
             f"agents of `{species}` keep the colour of their first state: glTF has no colours over time"
             for species in sorted(self.turned)
         ]  # fmt: skip
         deformers = {b.deformer for body in self.bodies.values() for b in body.worn.bindings if b.deformer}
         if any("dualquat" in name for name in deformers):
-            found.append("dual quaternion skinning is linear there: glTF has no other")
-        return found
+            messages.append("dual quaternion skinning is linear there: glTF has no other")
+        return messages
 
 
 def _written(stage: Stage, body: _Body, colours: dict[int, tuple[float, ...]], species: str) -> None:

@@ -82,14 +82,14 @@ class Stage:
         """Return the node of an agent, with its transforms in some frames. In other frames its scale is 0."""
         node = self._node(self._world, {"name": name})
         self._keys(node, frames, move, turn, None)
-        there = np.zeros(len(self.frames), np.bool_)
-        there[frames] = True
-        if there.all():
+        is_present = np.zeros(len(self.frames), np.bool_)
+        is_present[frames] = True
+        if is_present.all():
             self._keys(node, frames, None, None, size)
             return node
-        edges = np.flatnonzero(np.diff(there, prepend=not there[0]) != 0)
-        shown = np.where(there[edges, None], size[0], 0.0)
-        self._channel(node, "scale", edges, shown, "STEP")
+        edges = np.flatnonzero(np.diff(is_present, prepend=not is_present[0]) != 0)
+        scales = np.where(is_present[edges, None], size[0], 0.0)
+        self._channel(node, "scale", edges, scales, "STEP")
         return node
 
     def joint(self, above: int, name: str, frames: NDArray[np.int64], move: Floats, turn: Floats, size: Floats) -> int:
@@ -119,23 +119,23 @@ class Stage:
         ):  # fmt: skip
             if values is None:
                 continue
-            kept = values.astype(np.float32)
-            if (kept[0] != np.array(still, np.float32)).any():
-                entry[path] = kept[0].tolist()
-            if (kept != kept[0]).any():
-                self._channel(node, path, frames, kept, "LINEAR")
+            samples = values.astype(np.float32)
+            if (samples[0] != np.array(still, np.float32)).any():
+                entry[path] = samples[0].tolist()
+            if (samples != samples[0]).any():
+                self._channel(node, path, frames, samples, "LINEAR")
 
     def _channel(self, node: int, path: str, frames: NDArray[np.int64], values: NDArray[Any], kind: str) -> None:
         """Write keys of a node, without those inside a constant stretch."""
-        kept = np.ones(len(frames), np.bool_)
+        is_key = np.ones(len(frames), np.bool_)
         if kind == "LINEAR" and len(frames) > 2:
             same = (values[1:] == values[:-1]).all(axis=1)
-            kept[1:-1] = ~(same[1:] & same[:-1])
-        key = frames[kept].tobytes()
+            is_key[1:-1] = ~(same[1:] & same[:-1])
+        key = frames[is_key].tobytes()
         if key not in self._times:
-            since = np.array(self.frames)[frames[kept]] - self.frames[0]
+            since = np.array(self.frames)[frames[is_key]] - self.frames[0]
             self._times[key] = self.writer.accessor(since * self.gallery.dt, bounds=True)
-        output = values[kept].reshape(-1) if path == "weights" else values[kept]
+        output = values[is_key].reshape(-1) if path == "weights" else values[is_key]
         sampler = {"input": self._times[key], "output": self.writer.accessor(output), "interpolation": kind}
         self._channels.append({"sampler": len(self._samplers), "target": {"node": node, "path": path}})
         self._samplers.append(sampler)
@@ -229,8 +229,8 @@ class Stage:
         lens = {"yfov": float(angle), "aspectRatio": _WIDE, "znear": reach * 1e-3, "zfar": reach * 1e3}
         number = self.writer.add("cameras", {"type": "perspective", "perspective": lens})
         node = self._node(self._world, {"name": "camera", "camera": number})
-        moves, turns, shown = [], [], self.frames if self.gallery.camera_moves else self.frames[:1]
-        for frame in shown:
+        moves, turns, camera_frames = [], [], self.frames if self.gallery.camera_moves else self.frames[:1]
+        for frame in camera_frames:
             camera = self.gallery.camera(frame)
             assert camera is not None
             eye, aim = np.asarray(camera.at, np.float64), np.asarray(camera.look_at, np.float64)
@@ -244,7 +244,7 @@ class Stage:
             turns.append(rotation_of(np.stack([side, np.cross(back, side), back], axis=1)))
             if camera.focal != first.focal:
                 self.say("the camera's focal length is that of the first frame")
-        self._keys(node, np.arange(len(shown)), np.array(moves), np.array(turns), None)
+        self._keys(node, np.arange(len(camera_frames)), np.array(moves), np.array(turns), None)
 
 
 def _rigid(first: Floats, then: Floats) -> tuple[Floats, Floats, float]:
@@ -262,5 +262,5 @@ def _rigid(first: Floats, then: Floats) -> tuple[Floats, Floats, float]:
 
 def _unit(normals: NDArray[np.float32]) -> Floats:
     wide = normals.astype(np.float64)
-    found: Floats = wide / np.maximum(np.linalg.norm(wide, axis=1, keepdims=True), 1e-12)
-    return found
+    unit_normals: Floats = wide / np.maximum(np.linalg.norm(wide, axis=1, keepdims=True), 1e-12)
+    return unit_normals

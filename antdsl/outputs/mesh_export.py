@@ -18,7 +18,7 @@ from antdsl.outputs.poses_export import FEWER, NONE, Worn, worn_crowds
 from antdsl.outputs.usd.values import ROOT, Out, Samples, box, disk_failures, identifier, mesh, root, vectors
 from antdsl.scene.geometry.usd import pxr
 from antdsl.scene.model import UNIT_MM
-from antdsl.whole import whole
+from antdsl.whole import atomic_path
 
 _MOST = 20_000_000  # points of a frame
 _BATCH = 64  # agents that are posed at once
@@ -32,9 +32,9 @@ def export_meshes(gallery: Gallery, frames: Iterable[int], path: Path) -> list[s
     Raises NoExport if no agent is in all frames or there are too many points, CacheError for a damaged frame, OSError if writing
     fails."""
     frames = list(frames)
-    there, notes = _throughout(gallery, frames)
+    common_ids, notes = _throughout(gallery, frames)
     for frame in frames:
-        write_mesh(numbered(path, frame), list(_posed(gallery, frame, there)), gallery.origin)
+        write_mesh(numbered(path, frame), list(_posed(gallery, frame, common_ids)), gallery.origin)
     return notes
 
 
@@ -42,9 +42,9 @@ def export_usd_meshes(gallery: Gallery, frames: Iterable[int], path: Path) -> li
     """Write the meshes as USD: one mesh per agent, `/World/SPECIES/agent_ID`, with points and normals over time. Raises UsdError
     without usd-core."""
     frames = list(frames)
-    there, notes = _throughout(gallery, frames)
+    common_ids, notes = _throughout(gallery, frames)
     usd, geom = pxr("Usd"), pxr("UsdGeom")
-    with disk_failures(path), whole(path, path.suffix) as part:
+    with disk_failures(path), atomic_path(path, path.suffix) as part:
         stage = usd.Stage.CreateNew(str(part))
         geom.SetStageMetersPerUnit(stage, UNIT_MM[gallery.manifest.units] / 1000)
         geom.SetStageUpAxis(stage, gallery.manifest.up.upper())
@@ -53,27 +53,27 @@ def export_usd_meshes(gallery: Gallery, frames: Iterable[int], path: Path) -> li
         stage.SetStartTimeCode(frames[0])
         stage.SetEndTimeCode(frames[-1])
         stage.SetDefaultPrim(root(stage, gallery.origin).GetPrim())
-        out, made = Out(stage), dict[str, tuple[Samples, ...]]()
+        out, samples = Out(stage), dict[str, tuple[Samples, ...]]()
         for frame in frames:
-            for each in _posed(gallery, frame, there):
-                if each.name not in made:
-                    made[each.name] = _usd_mesh(out, each)
-                points, extent, normals = made[each.name]
+            for each in _posed(gallery, frame, common_ids):
+                if each.name not in samples:
+                    samples[each.name] = _usd_mesh(out, each)
+                points, extent, normals = samples[each.name]
                 points.set(frame, each.points)
                 extent.set(frame, box(each.points))
                 normals.set(frame, each.normals)
         stage.Save()
-        del made, out, stage
+        del samples, out, stage
     return notes
 
 
 def _usd_mesh(out: Out, part: Part) -> tuple[Samples, ...]:
     species, _, number = part.name.rpartition("_")
     pxr("UsdGeom").Xform.Define(out.stage, f"{ROOT}/{identifier(species)}")
-    made = mesh(out.stage, f"{ROOT}/{identifier(species)}/agent_{number}", part.points, part.faces, part.normals)
+    usd_mesh = mesh(out.stage, f"{ROOT}/{identifier(species)}/agent_{number}", part.points, part.faces, part.normals)
     assert part.colours is not None
-    made.CreateDisplayColorPrimvar("vertex").Set(vectors(decoded(part.colours)))
-    attributes = (made.GetPointsAttr(), made.GetExtentAttr(), made.GetNormalsAttr())
+    usd_mesh.CreateDisplayColorPrimvar("vertex").Set(vectors(decoded(part.colours)))
+    attributes = (usd_mesh.GetPointsAttr(), usd_mesh.GetExtentAttr(), usd_mesh.GetNormalsAttr())
     for attribute in attributes:
         attribute.Clear()
     return tuple(out.samples(attribute, vectors, np.float32) for attribute in attributes)
@@ -81,35 +81,35 @@ def _usd_mesh(out: Out, part: Part) -> tuple[Samples, ...]:
 
 def _throughout(gallery: Gallery, frames: list[int]) -> tuple[dict[Worn, set[int]], list[str]]:
     """Return the ids of agents that are in all frames in the same layers, by species and layers, and messages."""
-    there: dict[Worn, set[int]] = {}
-    seen: dict[Worn, set[int]] = {}
+    common_ids: dict[Worn, set[int]] = {}
+    all_ids: dict[Worn, set[int]] = {}
     for k, frame in enumerate(frames):
-        here: dict[Worn, set[int]] = {}
+        frame_ids: dict[Worn, set[int]] = {}
         for key, crowd, _ in worn_crowds(gallery.picture(frame)):
-            here.setdefault(key, set()).update(np.asarray(crowd.ids).tolist())
-        there = here if not k else {name: ids & here.get(name, set()) for name, ids in there.items()}
-        for name, ids in here.items():
-            seen.setdefault(name, set()).update(ids)
-    if not seen:
+            frame_ids.setdefault(key, set()).update(np.asarray(crowd.ids).tolist())
+        common_ids = frame_ids if not k else {name: ids & frame_ids.get(name, set()) for name, ids in common_ids.items()}
+        for name, ids in frame_ids.items():
+            all_ids.setdefault(name, set()).update(ids)
+    if not all_ids:
         return {}, [NONE]
-    if not any(there.values()):
+    if not any(common_ids.values()):
         raise NoExport("no agent with a body is there in all of these frames", "choose others with `--ids` or `--frames`")
-    left = sum(len(ids - there.get(key, set())) for key, ids in seen.items())
-    return there, [f"{left} agents are not there in all of these frames, and are left out"] if left else []
+    left = sum(len(ids - common_ids.get(key, set())) for key, ids in all_ids.items())
+    return common_ids, [f"{left} agents are not there in all of these frames, and are left out"] if left else []
 
 
-def _posed(gallery: Gallery, frame: int, there: dict[Worn, set[int]]) -> Iterator[Part]:
+def _posed(gallery: Gallery, frame: int, common_ids: dict[Worn, set[int]]) -> Iterator[Part]:
     """The posed mesh of each agent, by species and id."""
-    found: list[tuple[str, int, Part]] = []
+    parts: list[tuple[str, int, Part]] = []
     total = 0
     for key, crowd, worn in worn_crowds(gallery.picture(frame)):
-        rows = np.flatnonzero(np.isin(np.asarray(crowd.ids), sorted(there.get(key, ()))))
+        rows = np.flatnonzero(np.isin(np.asarray(crowd.ids), sorted(common_ids.get(key, ()))))
         total += len(rows) * len(worn.own)
         if total > _MOST:
             raise NoExport(f"the meshes of so many agents have more than {_MOST:,} points a frame", FEWER)
         for a in range(0, len(rows), _BATCH):
-            found += _batch(key[0], crowd, rows[a : a + _BATCH])
-    return (part for _, _, part in sorted(found, key=lambda each: each[:2]))
+            parts += _batch(key[0], crowd, rows[a : a + _BATCH])
+    return (part for _, _, part in sorted(parts, key=lambda each: each[:2]))
 
 
 def _batch(species: str, crowd: Crowd, rows: np.ndarray[Any, Any]) -> list[tuple[str, int, Part]]:
@@ -120,8 +120,8 @@ def _batch(species: str, crowd: Crowd, rows: np.ndarray[Any, Any]) -> list[tuple
     placed = turned(orient, points.astype(np.float64)) * crowd.scale[rows, None, None] + crowd.position[rows, None]
     across = turned(orient, normals.astype(np.float64))
     own, tint = encoded(worn.colours(crowd.driven.rows(rows))) / 255.0, worn.tint[:, None]
-    made = []
+    parts = []
     for k, row in enumerate(rows.tolist()):
         number, colours = int(crowd.ids[row]), own[k % len(own)] * (1 - tint) + tint * crowd.colour[row]
-        made.append((species, number, Part(f"{species}_{number}", placed[k], worn.faces, across[k], colours)))
-    return made
+        parts.append((species, number, Part(f"{species}_{number}", placed[k], worn.faces, across[k], colours)))
+    return parts

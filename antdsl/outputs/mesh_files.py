@@ -10,7 +10,7 @@ from typing import IO
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.whole import whole_file
+from antdsl.whole import atomic_file
 
 Floats = NDArray[np.floating]
 _BLOCK = 1 << 16  # lines that are made at once
@@ -38,21 +38,23 @@ def write_mesh(path: Path, parts: Sequence[Part], origin: NDArray[np.float64]) -
     points: Floats = np.concatenate([np.zeros((0, 3)), *(part.points for part in parts)]).astype(np.float32)
     if origin.any():
         points = points + origin
-    some = [part.normals for part in parts if part.normals is not None]
-    normals = np.concatenate(some).astype(np.float32) if some and len(some) == len(parts) else None
-    with whole_file(path, sync=False) as made:
+    all_normals = [part.normals for part in parts if part.normals is not None]
+    normals = np.concatenate(all_normals).astype(np.float32) if all_normals and len(all_normals) == len(parts) else None
+    with atomic_file(path, sync=False) as file:
         if path.suffix.lower() == ".obj":
-            _write_obj(made, parts, starts, points, normals)
+            _write_obj(file, parts, starts, points, normals)
         else:
-            _write_ply(made, parts, starts, points, normals)
+            _write_ply(file, parts, starts, points, normals)
 
 
 def _write_ply(
     file: IO[bytes], parts: Sequence[Part], starts: NDArray[np.int64], points: Floats, normals: NDArray[np.float32] | None
 ) -> None:
     faces = np.concatenate([np.zeros((0, 3), np.int64), *(part.faces + s for part, s in zip(parts, starts, strict=False))])
-    some = [part.colours for part in parts if part.colours is not None]
-    colours = np.rint(np.clip(np.concatenate(some), 0, 1) * 255) if some and len(some) == len(parts) else None
+    all_colours = [part.colours for part in parts if part.colours is not None]
+    colours = (
+        np.rint(np.clip(np.concatenate(all_colours), 0, 1) * 255) if all_colours and len(all_colours) == len(parts) else None
+    )
     fields = [(axis, "<f8", "double") if points.dtype == np.float64 else (axis, "<f4", "float") for axis in "xyz"]
     fields += [(f"n{axis}", "<f4", "float") for axis in "xyz"] if normals is not None else []
     fields += [(name, "|u1", "uchar") for name in ("red", "green", "blue")] if colours is not None else []

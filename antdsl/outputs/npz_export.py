@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from antdsl.outputs.cache.cache_reader import Cache
 from antdsl.outputs.cache.npz import to_member
 from antdsl.outputs.gallery import Gallery
-from antdsl.whole import whole_file
+from antdsl.whole import atomic_file
 
 Arrays = dict[str, NDArray[Any]]
 
@@ -40,8 +40,8 @@ def export_arrays(gallery: Gallery, frames: Iterable[int], path: Path) -> None:
     agents = [name for name in shapes if name in cache.manifest.attributes or name == "v_ground"]
     small: Arrays = {"frames": np.array(frames, np.int64), "rows": _starts(counts["P"])}
     small |= {f"{name}.rows": _starts(counts[name]) for name in shapes if name not in agents}
-    small["about"] = np.frombuffer(json.dumps(_about(gallery, agents)).encode("ascii"), np.uint8)
-    with whole_file(path) as made, zipfile.ZipFile(made, "w", zipfile.ZIP_STORED, allowZip64=True) as file:
+    small["about"] = np.frombuffer(json.dumps(_describe(gallery, agents)).encode("ascii"), np.uint8)
+    with atomic_file(path) as output, zipfile.ZipFile(output, "w", zipfile.ZIP_STORED, allowZip64=True) as file:
         for name, array in small.items():
             to_member(file, name, array.dtype, array.shape, [array])
         for name, (kind, rest) in shapes.items():
@@ -59,7 +59,7 @@ def _parts(cache: Cache, frames: list[int], name: str, counts: NDArray[np.int64]
             yield cache.frame(frame, frozenset([name]))[name]
 
 
-def _about(gallery: Gallery, agents: list[str]) -> dict[str, Any]:
+def _describe(gallery: Gallery, agents: list[str]) -> dict[str, Any]:
     manifest = gallery.manifest
     species = [each.model_dump(mode="json", include={"name", "machines", "clips", "playing"}) for each in manifest.species]
     return {

@@ -17,8 +17,8 @@ class NoExport(Exception):
 def numbered(path: Path, frame: int) -> Path:
     """Return the file of a frame. Its number replaces `####`, with as many digits, or is inserted before the suffix, with
     four."""
-    found = re.search("#+", path.stem)
-    if found:
-        name = f"{path.stem[: found.start()]}{frame:0{len(found[0])}d}{path.stem[found.end() :]}"
+    match = re.search("#+", path.stem)
+    if match:
+        name = f"{path.stem[: match.start()]}{frame:0{len(match[0])}d}{path.stem[match.end() :]}"
         return path.with_name(name + path.suffix)
     return path.with_name(f"{path.stem}.{frame:04d}{path.suffix}")

@@ -26,19 +26,19 @@ _READ = frozenset(["P", "orient", "pscale", "id", "species"])
 class Window:
     """Seconds before a frame and after it."""
 
-    before: float = 1.0
-    after: float = 2.0
+    seconds_before: float = 1.0
+    seconds_after: float = 2.0
 
     @staticmethod
     def of(text: str) -> Window | None:
         """Parse text such as `1..2`; None for other text, or for more than MOST_SECONDS."""
-        found = re.fullmatch(r"\s*(\d+(?:\.\d+)?)\s*\.\.\s*(\d+(?:\.\d+)?)\s*", text)
-        made = None if found is None else Window(float(found[1]), float(found[2]))
-        return None if made is None or max(made.before, made.after) > MOST_SECONDS else made
+        match = re.fullmatch(r"\s*(\d+(?:\.\d+)?)\s*\.\.\s*(\d+(?:\.\d+)?)\s*", text)
+        window = None if match is None else Window(float(match[1]), float(match[2]))
+        return None if window is None or max(window.seconds_before, window.seconds_after) > MOST_SECONDS else window
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Seen:
+class _FrameAgents:
     """The agents of a frame: positions slightly above the ground, float32[n,3]; ids and species, in ascending order of both."""
 
     place: NDArray[np.float32]
@@ -51,27 +51,27 @@ class Walks:
 
     def __init__(self, cache: Cache, dt: float, window: Window) -> None:
         self._cache, self._window = cache, window
-        self._before, self._after = round(window.before / dt), round(window.after / dt)
+        self._before, self._after = round(window.seconds_before / dt), round(window.seconds_after / dt)
         self._there = frozenset(cache.frames())
-        self._kept: OrderedDict[int, _Seen | None] = OrderedDict()
+        self._kept: OrderedDict[int, _FrameAgents | None] = OrderedDict()
 
     def at(self, frame: int, species: int, ids: NDArray[np.int64]) -> Paths:
         """Return the paths of some agents of one species; NaN in frames that do not exist or lack the agent."""
-        places = np.full((len(ids), self._before + 1 + self._after, 3), np.nan)
-        for k in range(places.shape[1]):
-            seen = self._seen(frame - self._before + k)
-            if seen is None:
+        positions = np.full((len(ids), self._before + 1 + self._after, 3), np.nan)
+        for k in range(positions.shape[1]):
+            frame_agents = self._agents_at(frame - self._before + k)
+            if frame_agents is None:
                 continue
-            first, last = np.searchsorted(seen.species, (species, species + 1))
-            own = seen.ids[first:last]
+            first, last = np.searchsorted(frame_agents.species, (species, species + 1))
+            own = frame_agents.ids[first:last]
             if not len(own):
                 continue
             row = np.minimum(np.searchsorted(own, ids), len(own) - 1)
             known = own[row] == ids
-            places[known, k] = seen.place[first:last][row[known]]
-        return Paths(places, self._before)
+            positions[known, k] = frame_agents.place[first:last][row[known]]
+        return Paths(positions, self._before)
 
-    def _seen(self, frame: int) -> _Seen | None:
+    def _agents_at(self, frame: int) -> _FrameAgents | None:
         if frame not in self._there:
             return None
         if frame not in self._kept:
@@ -81,7 +81,7 @@ class Walks:
         self._kept.move_to_end(frame)
         return self._kept[frame]
 
-    def _read(self, frame: int) -> _Seen | None:
+    def _read(self, frame: int) -> _FrameAgents | None:
         try:
             arrays = self._cache.frame(frame, _READ)
         except CacheError:  # a damaged frame leaves a gap in the lines
@@ -92,7 +92,7 @@ class Walks:
         ids = np.asarray(arrays["id"], np.int64) if "id" in arrays else np.arange(len(place))
         species = np.asarray(arrays["species"], np.int64) if "species" in arrays else np.zeros(len(place), np.int64)
         order = np.lexsort((ids, species))
-        return _Seen(place[order].astype(np.float32), ids[order], species[order])
+        return _FrameAgents(place[order].astype(np.float32), ids[order], species[order])
 
 
 def followed(now: Crowd, later: Crowd) -> Crowd:
@@ -100,21 +100,21 @@ def followed(now: Crowd, later: Crowd) -> Crowd:
     `later` are unchanged. Both have ids."""
     own, ids = np.asarray(now.ids), np.asarray(later.ids)
     order = np.argsort(ids, kind="stable")
-    at, there = matched(own, ids[order])
+    at, is_present = matched(own, ids[order])
     rows = len(ids) + np.arange(len(own))
-    rows[there] = order[at[there]]
-    whole = {
+    rows[is_present] = order[at[is_present]]
+    joined_fields = {
         name: _joined(getattr(later, name), getattr(now, name)) for name in ("position", "orient", "plays", "feet", "driven")
     }
-    kept = replace(now, **whole, paths=None)
+    joined_crowd = replace(now, **joined_fields, paths=None)
     return replace(
         now,
-        position=kept.position[rows],
-        orient=kept.orient[rows],
-        plays=tuple(each.rows(rows) for each in kept.plays),
-        feet=None if kept.feet is None else kept.feet.rows(rows),
-        driven=kept.driven.rows(rows),
-        after=None,
+        position=joined_crowd.position[rows],
+        orient=joined_crowd.orient[rows],
+        plays=tuple(each.rows(rows) for each in joined_crowd.plays),
+        feet=None if joined_crowd.feet is None else joined_crowd.feet.rows(rows),
+        driven=joined_crowd.driven.rows(rows),
+        next_crowd=None,
     )
 
 

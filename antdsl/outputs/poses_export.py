@@ -29,7 +29,7 @@ from antdsl.outputs.cache.npz import to_bytes
 from antdsl.outputs.gallery import Gallery
 from antdsl.outputs.numbered_files import NoExport
 from antdsl.outputs.pictures.model import Crowd, Picture
-from antdsl.whole import write_whole
+from antdsl.whole import write_atomically
 
 _MOST = 2 * limits.GIB
 FEWER = "choose fewer with `--ids 0..20` or `--frames A..B`"
@@ -52,11 +52,11 @@ def export_poses(gallery: Gallery, frames: Iterable[int], path: Path) -> list[st
 
     Raises NoExport where the data exceeds the memory, CacheError for a damaged frame, OSError where nothing can be written."""
     frames = list(frames)
-    found: dict[str, _Rows] = {}
+    rows_by_species: dict[str, _Rows] = {}
     size = 0
     for number, frame in enumerate(frames):
         for (species, _), crowd, worn in worn_crowds(gallery.picture(frame)):
-            rows = found.setdefault(species, _Rows(worn.definition))
+            rows = rows_by_species.setdefault(species, _Rows(worn.definition))
             rows.counts += [0] * (number + 1 - len(rows.counts))
             rows.counts[number] += len(crowd.position)
             size += len(crowd.position) * (len(worn.definition.rig.names) * 128 + 200)
@@ -64,16 +64,20 @@ def export_poses(gallery: Gallery, frames: Iterable[int], path: Path) -> list[st
                 raise NoExport(f"poses of so many agents and frames take more than {_MOST >> 30} GiB", FEWER)
             _add(rows, crowd, worn, gallery.origin)
     arrays: dict[str, NDArray[Any]] = {"frames": np.array(frames, np.int64)}
-    about = {}
-    for name, rows in found.items():
+    description = {}
+    for name, rows in rows_by_species.items():
         counts = rows.counts + [0] * (len(frames) - len(rows.counts))
         arrays[f"{name}.rows"] = np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
         arrays |= {f"{name}.{key}": np.concatenate(parts) for key, parts in rows.arrays.items()}
         rig = rows.body.rig
-        about[name] = {"joints": rig.names, "parents": rig.parents.tolist(), "channels": [each.name for each in rig.channels]}
-    arrays["about"] = np.frombuffer(json.dumps(about).encode("ascii"), np.uint8)
-    write_whole(path, to_bytes(arrays))
-    return [] if found else [NONE]
+        description[name] = {
+            "joints": rig.names,
+            "parents": rig.parents.tolist(),
+            "channels": [each.name for each in rig.channels],
+        }
+    arrays["about"] = np.frombuffer(json.dumps(description).encode("ascii"), np.uint8)
+    write_atomically(path, to_bytes(arrays))
+    return [] if rows_by_species else [NONE]
 
 
 Worn = tuple[str, tuple[str, ...]]  # a species, and the layers that agents of it wear beside their body's own
@@ -84,19 +88,19 @@ def worn_crowds(picture: Picture) -> list[tuple[Worn, Crowd, PosedBody]]:
     return [((crowd.species, crowd.worn.layers), crowd, crowd.worn) for crowd in picture.crowds if len(crowd.position)]
 
 
-def places(crowd: Crowd, body: Definition) -> NDArray[np.float64]:
+def placement_matrices(crowd: Crowd, body: Definition) -> NDArray[np.float64]:
     """Return matrices float64[n, 4, 4] from the space of a definition to the scene (relative to its origin), one per agent."""
-    found = np.tile(np.eye(4), (len(crowd.position), 1, 1))
-    found[:, :3, :3] = rotation(np.asarray(crowd.orient, np.float64)) * np.asarray(crowd.scale)[:, None, None]
-    found[:, :3] = found[:, :3] @ body.base()
-    found[:, :3, 3] += crowd.position
-    return found
+    matrices = np.tile(np.eye(4), (len(crowd.position), 1, 1))
+    matrices[:, :3, :3] = rotation(np.asarray(crowd.orient, np.float64)) * np.asarray(crowd.scale)[:, None, None]
+    matrices[:, :3] = matrices[:, :3] @ body.base()
+    matrices[:, :3, 3] += crowd.position
+    return matrices
 
 
 def _add(rows: _Rows, crowd: Crowd, worn: PosedBody, origin: NDArray[np.float64]) -> None:
     poses = crowd.poses(local=True)
     assert poses.local is not None and crowd.ids is not None
-    place = places(crowd, worn.definition)
+    place = placement_matrices(crowd, worn.definition)
     place[:, :3, 3] += origin
     arrays: dict[str, NDArray[Any]] = {
         "id": np.asarray(crowd.ids, np.int64), "place": place, "world": square(poses.world),

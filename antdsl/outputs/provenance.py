@@ -50,9 +50,9 @@ def resume_command(folder: Path) -> str:
         manifest = read_manifest(folder)
     except ManifestError:
         return f"antdsl run SCENE --out {shlex.quote(str(folder))} --resume"
-    there = os.path.normpath(folder / manifest.scene_path) if manifest.scene_path is not None else manifest.scene
-    words = _words(there, FrameRange(manifest.first, manifest.last), manifest.seed, manifest.inputs)
-    roots = sorted({found[1] for name in manifest.inputs if (found := GRANTED.fullmatch(name))})
+    scene = os.path.normpath(folder / manifest.scene_path) if manifest.scene_path is not None else manifest.scene
+    words = _words(scene, FrameRange(manifest.first, manifest.last), manifest.seed, manifest.inputs)
+    roots = sorted({match[1] for name in manifest.inputs if (match := GRANTED.fullmatch(name))})
     words += [word for name in roots for word in ("--root", f"{name}=FOLDER")]
     return printable(shlex.join([*words, "--out", str(folder), "--resume"])[:_LONGEST])
 

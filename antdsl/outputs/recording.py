@@ -13,9 +13,16 @@ from typing import Any, Literal, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.outputs.cache.body_arrays import KeptBodies
+from antdsl.outputs.cache.body_arrays import StoredBodies
 from antdsl.outputs.cache.cache_reader import Cache, CacheError, checkpoint_path
-from antdsl.outputs.cache.cache_writer import CacheWriter, DifferentInputs, Whole, prepare_folder, read_checkpoint, whole_part
+from antdsl.outputs.cache.cache_writer import (
+    CacheWriter,
+    DifferentInputs,
+    IntactPart,
+    prepare_folder,
+    read_checkpoint,
+    whole_part,
+)
 from antdsl.outputs.cache.frames import FrameMaker, describe, static_arrays
 from antdsl.outputs.cache.hashes import Line
 from antdsl.outputs.cache.manifest import CameraEntry, Look, way_to
@@ -41,7 +48,7 @@ class Recording:
     world: World
     inputs: Mapping[str, str]
     resumed_from: int | None = None
-    kept: dict[int, Line] = field(default_factory=dict)  # the lines of the frames up to there
+    kept_lines: dict[int, Line] = field(default_factory=dict)  # the lines of the frames up to there
     damaged: list[int] = field(default_factory=list)  # checkpoints of an earlier run that are of no use
     notes: list[str] = field(default_factory=list)  # what of an earlier run was damaged, and is made again
     static: dict[str, NDArray[Any]] = field(default_factory=dict)  # what stands in the cache for the whole run
@@ -51,10 +58,10 @@ class Recording:
     surface_error: float | None = 0.0  # the greatest of all frames, in body lengths; None where those before are not known of
     steps: int = 0  # after the first
     seconds: dict[str, float] = field(default_factory=dict)
-    made: dict[str, float] = field(default_factory=dict)  # frames: parts of `hand_over`
+    frame_seconds: dict[str, float] = field(default_factory=dict)  # frames: parts of `hand_over`
     behind: dict[str, float] = field(default_factory=dict)  # frames and checkpoints written meanwhile
     started: float = field(default_factory=time.perf_counter)
-    way: str | None = None  # from the cache to its scene, where that is not the one between the files that are used
+    scene_path: str | None = None  # from the cache to its scene, where that is not the one between the files that are used
     meter: Meter | None = None  # measures the steps after the first
 
     @property
@@ -65,13 +72,13 @@ class Recording:
         """Count the time since `since` under a name."""
         self.seconds[what] = self.seconds.get(what, 0.0) + time.perf_counter() - since
 
-    def written(self, found: Mapping[str, Any]) -> None:
+    def written(self, measures: Mapping[str, Any]) -> None:
         """Record the results of a frame that was written."""
-        for of, name in ((self.made, "made"), (self.behind, "seconds")):
-            for what, seconds in found.get(name, {}).items():
+        for of, name in ((self.frame_seconds, "made"), (self.behind, "seconds")):
+            for what, seconds in measures.get(name, {}).items():
                 of[what] = of.get(what, 0.0) + seconds
-        self.hash = found.get("hash", self.hash)
-        self.surface_error = found.get("surface_error", self.surface_error)
+        self.hash = measures.get("hash", self.hash)
+        self.surface_error = measures.get("surface_error", self.surface_error)
 
 
 class NothingToResume(Exception):
@@ -83,31 +90,31 @@ def begin(shot: Shot, folder: Path, options: Options, *, resume: bool, force: bo
 
     A good checkpoint has complete files for all frames up to it, and the world restored from it has the cached hash."""
     inputs, options = {**shot.inputs, **start_hash(shot)}, replace(options, feet=True)
-    kept: Whole | None = None
+    intact: IntactPart | None = None
     if resume:
         try:
-            kept = whole_part(folder, inputs, shot.frames.first, shot.frames.last)
+            intact = whole_part(folder, inputs, shot.frames.first, shot.frames.last)
         except DifferentInputs as why:
             raise _chosen_otherwise(shot, inputs, why) from None
-        if kept is None and any((folder / "frames").glob("frame.*.npz")):
+        if intact is None and any((folder / "frames").glob("frame.*.npz")):
             raise NothingToResume(f"`{folder}` has frames and no readable manifest")
     prepare_folder(folder, force=force)
     began = time.perf_counter()
     world = bind(shot.plan, shot.setting, options)
     recording = Recording(shot, folder, world, inputs, static=static_arrays(world, shot.setting))
     recording.spend("bind", began)
-    if kept is not None:
-        if kept.cache.manifest.origin != scene_origin(world):
+    if intact is not None:
+        if intact.cache.manifest.origin != scene_origin(world):
             raise NothingToResume(f"`{folder}` was written by an antdsl that counts places from another origin")
-        _go_on(recording, kept, options)
+        _go_on(recording, intact, options)
     if recording.resumed_from is None:
         start_from_cache(shot, recording.world)
     return recording
 
 
-def _chosen_otherwise(shot: Shot, inputs: Mapping[str, str], found: DifferentInputs) -> DifferentInputs:
+def _chosen_otherwise(shot: Shot, inputs: Mapping[str, str], problem: DifferentInputs) -> DifferentInputs:
     """Return the exception with messages for the seed, the first frame and `--set`, where these differ."""
-    then, scene, names = found.manifest, shot.scene, list(found.names)
+    then, scene, names = problem.manifest, shot.scene, list(problem.names)
     choices = []
     frames = FrameRange(then.first, max(then.first, shot.frames.last))
     if "scene" in names and scene.changed(seed=then.seed, frames=frames).digest() == then.inputs.get("scene"):
@@ -116,46 +123,48 @@ def _chosen_otherwise(shot: Shot, inputs: Mapping[str, str], found: DifferentInp
         choices += [f"from frame {then.first}, not {shot.frames.first}"] if then.first != shot.frames.first else []
     for name in [name for name in names if name.startswith("--set ")]:
         names.remove(name)
-        before, now = (f"`{name}={each[name]}`" if name in each else "" for each in (then.inputs, inputs))
-        choices.append(f"with {before}, not {now}" if before and now else f"with {before}" if before else f"without {now}")
+        previous, now = (f"`{name}={each[name]}`" if name in each else "" for each in (then.inputs, inputs))
+        choices.append(
+            f"with {previous}, not {now}" if previous and now else f"with {previous}" if previous else f"without {now}"
+        )
     return DifferentInputs(then, names, choices)
 
 
-def _go_on(recording: Recording, kept: Whole, options: Options) -> None:
+def _go_on(recording: Recording, intact: IntactPart, options: Options) -> None:
     """Restore the world from the last good checkpoint, and record what was damaged and will be made again."""
-    shot, lines, found = recording.shot, kept.cache.lines(), [] if kept.broken is None else [kept.broken]
-    for frame in kept.points:
-        why = _restored(recording, kept.cache, frame, lines[frame])
+    shot, lines, notes = recording.shot, intact.cache.lines(), [] if intact.broken is None else [intact.broken]
+    for frame in intact.points:
+        why = _restored(recording, intact.cache, frame, lines[frame])
         if why is None:
             recording.resumed_from = recording.frame = frame
             recording.hash = lines[frame].hash
-            recording.kept = {number: line for number, line in lines.items() if number <= frame}
+            recording.kept_lines = {number: line for number, line in lines.items() if number <= frame}
             break
-        found.append(why)
+        notes.append(why)
         recording.surface_error = 0.0
         recording.world = bind(shot.plan, shot.setting, options)  # what is bad has been put into the one before
     if recording.resumed_from is not None:
-        found += _damaged(recording, kept.cache, lines, recording.resumed_from)
+        notes += _damaged(recording, intact.cache, lines, recording.resumed_from)
     first = shot.frames.first if recording.resumed_from is None else recording.resumed_from + 1
-    again = min(shot.frames.last, first if kept.there is None else kept.there)
-    if not found and recording.resumed_from is None and kept.there is not None and kept.there >= first:
-        found.append(f"`{kept.cache.folder}` has no checkpoint from which all frames are whole")
-    if len(found) > len(recording.damaged) and again >= first:
-        found.append(f"frame {first} is made again" if again == first else f"frames {first} to {again} are made again")
-    why = kept.cache.static_damage()
+    again = min(shot.frames.last, first if intact.last_frame is None else intact.last_frame)
+    if not notes and recording.resumed_from is None and intact.last_frame is not None and intact.last_frame >= first:
+        notes.append(f"`{intact.cache.folder}` has no checkpoint from which all frames are whole")
+    if len(notes) > len(recording.damaged) and again >= first:
+        notes.append(f"frame {first} is made again" if again == first else f"frames {first} to {again} are made again")
+    why = intact.cache.static_damage()
     if why is not None:
-        found.append(f"{why}; it is written again")
-    beyond = [frame for frame in kept.cache.frames() if frame > shot.frames.last]
+        notes.append(f"{why}; it is written again")
+    beyond = [frame for frame in intact.cache.frames() if frame > shot.frames.last]
     if beyond:
         which = f"frame {beyond[0]} lies" if len(beyond) == 1 else f"{len(beyond)} frames, {beyond[0]} to {beyond[-1]}, lie"
-        found.append(f"{which} beyond frame {shot.frames.last}, the last, and {'is' if len(beyond) == 1 else 'are'} removed")
-    recording.notes = found + [f"{why}; it is left as it is" for why in kept.cache.strays()]
+        notes.append(f"{which} beyond frame {shot.frames.last}, the last, and {'is' if len(beyond) == 1 else 'are'} removed")
+    recording.notes = notes + [f"{why}; it is left as it is" for why in intact.cache.strays()]
 
 
-def _damaged(recording: Recording, cache: Cache, lines: Mapping[int, Line], before: int) -> Iterator[str]:
+def _damaged(recording: Recording, cache: Cache, lines: Mapping[int, Line], limit: int) -> Iterator[str]:
     """Yield why checkpoints before a frame are unusable, and mark them for removal."""
     for frame in cache.checkpoints():
-        why = cache.checkpoint_damage(frame, lines.get(frame)) if frame < before else None
+        why = cache.checkpoint_damage(frame, lines.get(frame)) if frame < limit else None
         if why is not None:
             recording.damaged.append(frame)
             yield f"{why}, and is removed"
@@ -188,14 +197,14 @@ def record(recording: Recording, watch: Callable[[str, int], None] = lambda what
     model = shot.scene.model
     pieces = PieceMaker(shot.frames.first, model.output.checkpoint, 1.0 / shot.setting.unit_mm)
     maker = FrameMaker(world, shot.program, model.output.attributes, pieces, model.output.events)
-    kept = KeptBodies.of(shot.bodies, {line.species: line.body for line in model.crowd if line.body is not None})
+    stored_bodies = StoredBodies.of(shot.bodies, {line.species: line.body for line in model.crowd if line.body is not None})
     name = Path(shot.scene.source.path).name
     manifest = describe(
         world,
         shot.setting,
         version=shot.inputs["antdsl"],
         scene=name,
-        scene_path=recording.way or way_to(Path(shot.scene.source.path), recording.folder),
+        scene_path=recording.scene_path or way_to(Path(shot.scene.source.path), recording.folder),
         inputs=recording.inputs,
         units=model.units,
         up=model.up,
@@ -205,8 +214,8 @@ def record(recording: Recording, watch: Callable[[str, int], None] = lambda what
         checkpoint=model.output.checkpoint,
         attributes=maker.attributes,
         bodies={line.species: line.body for line in model.crowd if line.body is not None},
-        definitions=kept.entries,
-        worn=kept.worn,
+        definitions=stored_bodies.entries,
+        worn=stored_bodies.worn,
         feelers={
             name: feelers_of(shot.program, name, world.params, shot.setting.unit_mm, world.dt) for name in world.populations
         },
@@ -215,8 +224,8 @@ def record(recording: Recording, watch: Callable[[str, int], None] = lambda what
     )
     made_with = partial(provenance, name, shot.frames, shot.setting.seed, recording.inputs)
     with CacheWriter(recording.folder, manifest, made_with, recording.written) as writer:
-        static = {**recording.static, **kept.arrays}
-        writer.begin(world, static, maker, recording.kept, recording.damaged, recording.surface_error)
+        static = {**recording.static, **stored_bodies.arrays}
+        writer.begin(world, static, maker, recording.kept_lines, recording.damaged, recording.surface_error)
         if recording.resumed_from is None:
             for _ in range(model.preroll):
                 if recording.stop:
@@ -296,11 +305,11 @@ def _file_camera(camera: CameraData, origin: NDArray[np.float64], scale: float) 
 def looks_of(model: SceneModel) -> Mapping[str, Look | Mapping[str, Look]]:
     """Return looks by name: of each mesh, and of all items from a USD file. Items with entries of their own have looks by item
     name."""
-    found: dict[str, Look | Mapping[str, Look]] = {}
+    looks: dict[str, Look | Mapping[str, Look]] = {}
     for name, thing in model.world.items():
         if isinstance(thing, dict):
             own = {item: cast(Look, placed.look) for item, placed in thing.items() if placed.look is not None}
-            found |= {name: own} if own else {}
+            looks |= {name: own} if own else {}
         elif isinstance(thing, MeshThing | HeightThing | UsdThing) and thing.look is not None:
-            found[name] = cast(Look, thing.look)
-    return found
+            looks[name] = cast(Look, thing.look)
+    return looks

@@ -16,7 +16,7 @@ from antdsl.outputs.gallery import Gallery
 from antdsl.outputs.mesh_files import Part, write_mesh
 from antdsl.outputs.numbered_files import NoExport, numbered
 from antdsl.scene.model import UNIT_MM
-from antdsl.whole import write_whole
+from antdsl.whole import write_atomically
 
 _NONE = NoExport("the scene has no solid that could be dug", "`kind: solid` of a mesh in `world` makes one")
 
@@ -60,5 +60,5 @@ def export_volumes(gallery: Gallery, frames: Iterable[int], path: Path) -> list[
             f"{name}.cell": np.array(bricks.voxel * scale),
             f"{name}.band": np.array([bricks.least * scale, bricks.most * scale]),
         }
-    write_whole(path, to_bytes(arrays))
+    write_atomically(path, to_bytes(arrays))
     return [f"the volume is that of frame {last}"]

@@ -75,15 +75,15 @@ def start_from_cache(shot: Shot, world: World) -> None:
         raise _error(shot, "no-such-file", str(why), "cache", "name the folder of a cache below the scene's own") from None
     except CacheError:
         raise _missing(shot, folder) from None
-    kept = {name.removeprefix("world."): array for name, array in arrays.items() if name.startswith("world.")}
-    there = np.array(cache.manifest.origin) * UNIT_MM[cache.manifest.units]
-    if "origin" in cache.manifest.model_fields_set and (there != world.origin).any():  # older caches do not say it
-        a, b = (" ".join(f"{x / 1000:.15g}" for x in each) for each in (there, world.origin))
+    state_arrays = {name.removeprefix("world."): array for name, array in arrays.items() if name.startswith("world.")}
+    source_origin = np.array(cache.manifest.origin) * UNIT_MM[cache.manifest.units]
+    if "origin" in cache.manifest.model_fields_set and (source_origin != world.origin).any():  # older caches do not say it
+        a, b = (" ".join(f"{x / 1000:.15g}" for x in each) for each in (source_origin, world.origin))
         words = f"the world of `{start.cache}` has its origin at {a} m, and this scene's world at {b} m"
         raise _error(shot, "wrong-value", words, "cache", "give the surfaces the same meshes at the same places")
     first, params = world.frame, dict(world.params)
     try:
-        restore(world, kept)
+        restore(world, state_arrays)
     except CheckpointError as why:
         words = f"frame {start.frame} of `{start.cache}` is not of these programs: {why}"
         raise _error(shot, "wrong-value", words, "cache", "begin with a cache of the same programs") from None
@@ -107,10 +107,10 @@ def _missing(shot: Shot, folder: Path) -> StartError:
     start = shot.scene.model.start
     assert start is not None
     try:
-        there = open_cache(folder).checkpoints()
+        checkpoints = open_cache(folder).checkpoints()
     except ManifestError as why:
         return _error(shot, "no-such-file", str(why), "cache", "name the folder of a cache below the scene's own")
-    near = sorted(there, key=lambda frame: abs(frame - start.frame))[:3]
+    near = sorted(checkpoints, key=lambda frame: abs(frame - start.frame))[:3]
     help = "write one of " + ", ".join(map(str, sorted(near))) if near else "run the other scene first"
     return _error(shot, "no-such-file", f"`{start.cache}` has no whole checkpoint at frame {start.frame}", "frame", help)
 

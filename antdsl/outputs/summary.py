@@ -21,7 +21,7 @@ def summary(recording: Recording) -> dict[str, Any]:
         "fps": round(steps / stepping, 3) if stepping > 0 else 0.0,
         "seconds": {
             name: round(value, 6)
-            for name, value in {**recording.seconds, **recording.made, **recording.behind, **world.timings}.items()
+            for name, value in {**recording.seconds, **recording.frame_seconds, **recording.behind, **world.timings}.items()
         },
         "states": states(recording),
         "transitions": dict(world.transitions),
@@ -43,13 +43,13 @@ def states(recording: Recording) -> dict[str, int]:
     """Return how many agents are in each state, by `species.state` (`species.machine.state` for named machines)."""
     import numpy as np
 
-    found: dict[str, int] = {}
+    agent_counts: dict[str, int] = {}
     for name, population in recording.world.populations.items():
         for machine in population.plan.machines:
             counts = np.bincount(population.now[f"{machine.name}.state"], minlength=len(machine.states))
             prefix = name if machine.name == "main" else f"{name}.{machine.name}"
-            found |= {f"{prefix}.{state}": int(count) for state, count in zip(machine.states, counts, strict=True)}
-    return found
+            agent_counts |= {f"{prefix}.{state}": int(count) for state, count in zip(machine.states, counts, strict=True)}
+    return agent_counts
 
 
 def carried(recording: Recording) -> dict[str, float]:
@@ -57,11 +57,11 @@ def carried(recording: Recording) -> dict[str, float]:
     items."""
     import numpy as np
 
-    kept = {attribute for items in recording.world.items.values() for attribute in items.amounts}
+    shared_attributes = {attribute for items in recording.world.items.values() for attribute in items.amounts}
     return {
         f"{name}.{attribute}": float(population.now[attribute].astype(np.float64).sum())
         for name, population in recording.world.populations.items()
-        for attribute in sorted(kept)
+        for attribute in sorted(shared_attributes)
         if attribute in population.now
     }
 

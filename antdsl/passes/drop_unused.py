@@ -7,7 +7,7 @@ from dataclasses import replace
 from antdsl.plan.ir import Block, Claim, If, Plan, SpeciesPlan, Statement, Store
 from antdsl.plan.traverse import PHASES, blocks, needed, operands, registers_read, statements
 
-KEPT = frozenset(f"{name}.{axis}" for name in ("push", "~face") for axis in "xyz")  # the runtime reads the results
+RESULT_TEMPS = frozenset(f"{name}.{axis}" for name in ("push", "~face") for axis in "xyz")  # the runtime reads the results
 
 
 def drop_unused(plan: Plan) -> Plan:
@@ -19,7 +19,7 @@ def drop_unused(plan: Plan) -> Plan:
 def _species(species: SpeciesPlan) -> SpeciesPlan:
     while True:
         everything = [s for _, block in blocks(species) for _, s in statements(block)]
-        read = registers_read(needed(n for s in everything for n in operands(s))) | KEPT
+        read = registers_read(needed(n for s in everything for n in operands(s))) | RESULT_TEMPS
         read |= {s.won for s in everything if isinstance(s, Claim)}
         unread = {name for name, r in species.registers.items() if r.role == "temp" and name not in read}
         if not unread:

@@ -38,7 +38,7 @@ def _product(b: Builder, args: tuple[Node, ...]) -> Node:
     pair = [n for n in factors if _pair(n)]
     first = next((n for n in pair if n.op in _COMPONENTS), pair[0])
     pair.remove(first)
-    rest = [reduce(lambda p, q: b("mul", p, q), some) for some in (pair, agent) if some]
+    rest = [reduce(lambda p, q: b("mul", p, q), group) for group in (pair, agent) if group]
     result = b("mul", first, reduce(lambda p, q: b("mul", p, q), rest)) if rest else first
     return b("neg", result) if negative else result
 

@@ -35,15 +35,15 @@ def _statement(species: SpeciesPlan, statement: Statement) -> Statement:
 
 def _parts(condition: Node) -> list[Node]:
     """The conditions that all must hold, in order."""
-    found: list[Node] = []
+    conditions: list[Node] = []
     stack = [condition]
     while stack:
         node = stack.pop()
         if node.op == "and":
             stack += reversed(node.args)
         else:
-            found.append(node)
-    return found
+            conditions.append(node)
+    return conditions
 
 
 def _senses(node: Node) -> bool:

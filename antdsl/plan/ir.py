@@ -253,8 +253,8 @@ class Give:
 @dataclass(frozen=True, slots=True, eq=False)
 class Request:
     """A request to the rest of the world. `op` is a row of `program.effects`, `of` the name of its target, `args` the row's
-    operands (None: absent). `own` is the agent's register that the result is added to after the step's blocks. `whom` is the
-    species of the one agent (an I64 operand) that it is for."""
+    operands (None: absent). `own` is the agent's register that the result is added to after the step's blocks. `target_species`
+    is the species of the one agent (an I64 operand) that it is for."""
 
     op: str
     of: str
@@ -262,7 +262,7 @@ class Request:
     span: Span | None
     own: str | None = None
     site: str = ""
-    whom: str | None = None
+    target_species: str | None = None
 
 
 Statement = If | Store | Claim | Give | Request
@@ -273,9 +273,10 @@ Statement = If | Store | Claim | Give | Request
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Register:
-    """A value per agent. role: attribute (the author's or given), memory (keep, latch, held, machines' bookkeeping), pair (a slot of a value
-    per pair: `registers`), temp (this step only, starts each step at `zero`). All but temp are kept from step to step and hashed. `holds` is the type behind it, where the language
-    has one: what an edited program declares under this name is the same value only if that is the same."""
+    """A value per agent. role: attribute (the author's or given), memory (keep, latch, held, machines' bookkeeping), pair (a slot
+    of a value per pair: `registers`), temp (this step only, starts each step at `zero`). All but temp are kept from step to step
+    and hashed. `holds` is the type behind it, where the language has one: what an edited program declares under this name is the
+    same value only if that is the same."""
 
     name: str
     kind: Kind

@@ -25,20 +25,20 @@ def written(statement: ir.Statement) -> str | None:
 
 def early_loads(block: ir.Block) -> dict[tuple[int, ...], list[ir.Node]]:
     """Loads to evaluate just before the statement at a place, in the region that holds it."""
-    places: dict[ir.Node, list[tuple[int, ...]]] = {}
+    read_paths: dict[ir.Node, list[tuple[int, ...]]] = {}
     stores: dict[str, list[tuple[int, ...]]] = {}
     for path, statement in placed(block):
         for node in needed(operands(statement)):
             if node.op == "load":
-                places.setdefault(node, []).append(path)
+                read_paths.setdefault(node, []).append(path)
         register = written(statement)
         if register is not None:
             stores.setdefault(register, []).append(path)
-    found: dict[tuple[int, ...], list[ir.Node]] = {}
-    for node, paths in places.items():
+    loads: dict[tuple[int, ...], list[ir.Node]] = {}
+    for node, paths in read_paths.items():
         if any(paths[0] <= store < paths[-1] for store in stores.get(node.attrs[0], ())):
-            found.setdefault(_meeting(paths), []).append(node)
-    return found
+            loads.setdefault(_meeting(paths), []).append(node)
+    return loads
 
 
 def _meeting(paths: list[tuple[int, ...]]) -> tuple[int, ...]:
@@ -50,13 +50,13 @@ def _meeting(paths: list[tuple[int, ...]]) -> tuple[int, ...]:
     return first[: depth + 1]
 
 
-def places(species: ir.SpeciesPlan) -> dict[ir.Statement, int]:
+def statement_numbers(species: ir.SpeciesPlan) -> dict[ir.Statement, int]:
     """Every statement of a species by its place in the text."""
     blocks = (species.born, species.decide, species.act, species.blend)
     return {statement: k for k, statement in enumerate(statement for block in blocks for _, statement in placed(block))}
 
 
-def kept_senses(species: ir.SpeciesPlan) -> tuple[ir.Node, ...]:
+def cacheable_senses(species: ir.SpeciesPlan) -> tuple[ir.Node, ...]:
     """Return the lazy nodes with a value that holds for the whole step: none of its parts is written in between."""
     return tuple(node for node in species.lazy if all(part.op != "load" for part in needed((node,))))
 
@@ -65,10 +65,10 @@ def memory(species: SpeciesPlan) -> dict[str, int]:
     """Return bytes per agent by use: `attribute` (the author's and those that every animal has), `memory` (states, `keep`,
     latches, waiting times), `pair` (values per pair), and `temp`. All but `temp`, which is used during a step only, persist from
     step to step."""
-    found = {"attribute": _OWN, "pair": 0, "memory": 0, "temp": 0}
+    sizes = {"attribute": _OWN, "pair": 0, "memory": 0, "temp": 0}
     for register in species.registers.values():
-        found[register.role] += _BYTES[register.kind]
-    return found
+        sizes[register.role] += _BYTES[register.kind]
+    return sizes
 
 
 def slot_names(name: str, count: int) -> list[tuple[str, str]]:

@@ -31,16 +31,16 @@ def _head(plan: Plan) -> str:
         lines.append(f"param {param.name} = {_Names().text(param.default)}")
     for field in plan.fields.values():
         names = _Names()
-        made = (field.combine, f"stencil {field.stencil}", f"deposits {field.deposits}")
-        lines.append(f"field {field.name} on {', '.join(field.surfaces)} ({', '.join(made)})")
+        properties = (field.combine, f"stencil {field.stencil}", f"deposits {field.deposits}")
+        lines.append(f"field {field.name} on {', '.join(field.surfaces)} ({', '.join(properties)})")
         for word, node in (("cell", field.cell), ("keep", field.keep), ("diffuse", field.diffuse), ("limit", field.limit)):
             if node is not None:
                 lines.append(f"  {word} {names.text(node)}")
     for items in plan.items.values():
         values = ", ".join(f"{name} = {_number(value)}" for name, value in items.attributes.items())
         lines.append(f"items {items.name} {{ {values} }}" if values else f"items {items.name}")
-    for kind, there in plan.things.items():
-        lines += [f"{kind} {name}" for name in there]
+    for kind, thing_names in plan.things.items():
+        lines += [f"{kind} {name}" for name in thing_names]
     return "\n".join(lines)
 
 
@@ -152,7 +152,7 @@ class _Text(_Names):
         self.species = species
         users: Counter[Node] = Counter()
         everything = [operands(s) for _, s in statements(block)]
-        roots = [n for some in everything for n in some]
+        roots = [n for group in everything for n in group]
         for node in needed(roots):
             users.update(node.args)
         users.update(roots)
@@ -182,14 +182,14 @@ class _Text(_Names):
         return result
 
     def _first_named(self, statement: Statement) -> list[str]:
-        made = []
+        lines = []
         for node in needed(operands(statement)):
             if node in self.shared and node not in self.names and node.rate is not Rate.PAIR:
                 text = self.spelled(node)
                 keep = " (kept)" if node in self.species.lazy else ""
                 self.names[node] = f"{'s' if node.op in SENSES else 'a'}{len(self.names) + 1}"
-                made.append(f"{self.names[node]} = {text}{keep}")
-        return made
+                lines.append(f"{self.names[node]} = {text}{keep}")
+        return lines
 
     def _statement(self, s: Statement) -> str:
         match s:
@@ -208,7 +208,7 @@ class _Text(_Names):
             case Request():
                 row = EFFECTS[s.op]
                 values = {name: None if arg is None else self.text(arg) for name, arg in zip(row.operands, s.args, strict=True)}
-                return phrase(row.shown, {**values, "of": s.of, "own": s.own})
+                return phrase(row.plan_text, {**values, "of": s.of, "own": s.own})
 
 
 def _place(statement: Statement) -> str:

@@ -46,14 +46,14 @@ def blocks(species: SpeciesPlan) -> tuple[tuple[str, Block], ...]:
 
 def needed(roots: Iterable[Node]) -> list[Node]:
     """Return the nodes and all their operands, operands first."""
-    seen: dict[int, Node] = {}
+    nodes_by_number: dict[int, Node] = {}
     stack = list(roots)
     while stack:
         node = stack.pop()
-        if node.number not in seen:
-            seen[node.number] = node
+        if node.number not in nodes_by_number:
+            nodes_by_number[node.number] = node
             stack += node.args
-    return [seen[number] for number in sorted(seen)]
+    return [nodes_by_number[number] for number in sorted(nodes_by_number)]
 
 
 def field_nodes(field: FieldPlan) -> tuple[Node, ...]:
@@ -62,15 +62,15 @@ def field_nodes(field: FieldPlan) -> tuple[Node, ...]:
 
 def roots(plan: Plan) -> list[Node]:
     """Return every node that is named from outside the list of nodes."""
-    found: list[Node] = []
+    nodes: list[Node] = []
     for species in plan.species.values():
         for _, block in blocks(species):
             for _, statement in statements(block):
-                found += operands(statement)
-        found += species.lazy
+                nodes += operands(statement)
+        nodes += species.lazy
     for field in plan.fields.values():
-        found += field_nodes(field)
-    return found + [p.default for p in plan.params.values()]
+        nodes += field_nodes(field)
+    return nodes + [p.default for p in plan.params.values()]
 
 
 def registers_read(nodes: Iterable[Node]) -> set[str]:
@@ -85,32 +85,32 @@ def lazy(*phases: Block) -> tuple[Node, ...]:
         for block, statement in statements(phase):
             for sense in nearest_senses(operands(statement)):
                 users.setdefault(sense, set()).add(block)
-    kept: list[Node] = []
+    shared_senses: list[Node] = []
     waiting = set(users)
     while waiting:
         sense = max(waiting, key=lambda node: node.number)  # all that use it have greater numbers and have been here
         waiting.remove(sense)
         alone = len(users[sense]) == 1
         if not alone:
-            kept.append(sense)
+            shared_senses.append(sense)
         for inner in nearest_senses(sense.args):
             users.setdefault(inner, set()).update(users[sense] if alone else (sense,))
             waiting.add(inner)
-    return tuple(reversed(kept))
+    return tuple(reversed(shared_senses))
 
 
 def nearest_senses(roots: Iterable[Node]) -> set[Node]:
     """Senses that are reached from the nodes without passing through another sense."""
-    found: set[Node] = set()
-    seen: set[Node] = set()
+    senses: set[Node] = set()
+    visited: set[Node] = set()
     stack = list(roots)
     while stack:
         node = stack.pop()
-        if node in seen:
+        if node in visited:
             continue
-        seen.add(node)
+        visited.add(node)
         if node.op in SENSES:
-            found.add(node)
+            senses.add(node)
         else:
             stack += node.args
-    return found
+    return senses

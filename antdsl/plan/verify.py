@@ -105,12 +105,12 @@ def _elements(plan: Plan, reduce: Node) -> Iterator[str]:
 
 def _per_pair(nodes: tuple[Node, ...]) -> Iterator[Node]:
     """Nodes at the rate of pairs that belong to this reduction and not to one inside it."""
-    stack, seen = list(nodes), set()
+    stack, visited = list(nodes), set()
     while stack:
         node = stack.pop()
-        if node in seen or node.rate is not Rate.PAIR:
+        if node in visited or node.rate is not Rate.PAIR:
             continue
-        seen.add(node)
+        visited.add(node)
         yield node
         stack += node.args
 
@@ -187,8 +187,8 @@ def _request(plan: Plan, species: SpeciesPlan, statement: Request) -> Iterator[s
     if row is None:
         yield f"no effect {statement.op}"
         return
-    word, there = row.op.capitalize(), named(plan).get(row.target)
-    if there is not None and statement.of not in there:
+    word, known_names = row.op.capitalize(), named(plan).get(row.target)
+    if known_names is not None and statement.of not in known_names:
         yield f"{word} of {statement.of}, which is not there"
     if statement.own is not None and statement.own not in species.registers:
         yield f"{word} for {statement.own}, which is not there"
@@ -199,11 +199,11 @@ def _request(plan: Plan, species: SpeciesPlan, statement: Request) -> Iterator[s
             yield f"{word} without {name}"
         elif node is not None and node.kind is not (Kind.I64 if name in row.agents else Kind.F32):
             yield f"{word} with {node!r} for {name}"
-        elif node is not None and name in row.agents and statement.whom is None:
+        elif node is not None and name in row.agents and statement.target_species is None:
             yield f"{word} of an agent of no species for {name}"
 
 
-class _Seen:
+class _LoadState:
     """Per register: the version last loaded, and whether something was stored since."""
 
     def __init__(self) -> None:
@@ -213,27 +213,27 @@ class _Seen:
 
 def _order(block: Block) -> Iterator[str]:
     """Check that a load after a store differs from the load before it, and that versions only increase."""
-    seen = _Seen()
-    yield from _walk(block, seen)
+    state = _LoadState()
+    yield from _walk(block, state)
 
 
-def _walk(block: Block, seen: _Seen) -> Iterator[str]:
+def _walk(block: Block, state: _LoadState) -> Iterator[str]:
     for statement in block.statements:
         for node in needed(operands(statement)):
             if node.op != "load":
                 continue
             name, version = node.attrs
-            last = seen.version.get(name)
+            last = state.version.get(name)
             if last is not None and version < last:
                 yield f"{node!r} is older than a load before it, of version {last}"
-            elif last == version and name in seen.stale:
+            elif last == version and name in state.stale:
                 yield f"{node!r} is loaded before and after a store"
-            seen.version[name] = max(version, last or 0)
-            seen.stale.discard(name)
+            state.version[name] = max(version, last or 0)
+            state.stale.discard(name)
         for name in written(statement):
-            seen.stale.add(name)
+            state.stale.add(name)
         if isinstance(statement, If):
-            yield from _walk(statement.then, seen)
+            yield from _walk(statement.then, state)
 
 
 def written(statement: Statement) -> tuple[str, ...]:

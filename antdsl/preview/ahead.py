@@ -17,19 +17,19 @@ _BYTES = 1 << 26  # of places, at most
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Places:
+class SpeciesPositions:
     """Agents of one species at one frame, by id: ids int64[n], places float32[n, 3] in the world's own count."""
 
     ids: NDArray[np.int64]
     position: NDArray[np.float32]
 
     @classmethod
-    def of(cls, population: Population, before: Places | None) -> Places:
+    def of(cls, population: Population, previous: SpeciesPositions | None) -> SpeciesPositions:
         """Return the current positions; ids are the array of the frame before if no agent came or went."""
         rows = population.in_id_order()
         ids = population.ids[rows]
-        same = before is not None and np.array_equal(before.ids, ids)
-        return cls(before.ids if before is not None and same else ids, population.position[rows].astype(np.float32))
+        same = previous is not None and np.array_equal(previous.ids, ids)
+        return cls(previous.ids if previous is not None and same else ids, population.position[rows].astype(np.float32))
 
 
 class Ahead:
@@ -40,7 +40,7 @@ class Ahead:
     at the end of a history that the session went back in, and where a step fails."""
 
     def __init__(self) -> None:
-        self.frames: dict[int, dict[str, Places]] = {}
+        self.frames: dict[int, dict[str, SpeciesPositions]] = {}
         self.version = 0  # changes whenever they do
         self._of: tuple[Stretch, tuple[Change, ...]] | None = None
         self._world: World | None = None
@@ -79,12 +79,12 @@ class Ahead:
                 return
             except FaultStop:
                 pass  # the session would go on after the fault as well
-        before = self.frames.get(world.frame - 1, {})
-        self.frames[world.frame] = {name: Places.of(p, before.get(name)) for name, p in world.populations.items()}
+        previous = self.frames.get(world.frame - 1, {})
+        self.frames[world.frame] = {name: SpeciesPositions.of(p, previous.get(name)) for name, p in world.populations.items()}
         self.version += 1
 
     def _last(self, session: Session) -> int:
         """The frame that it goes to."""
         count = max(1, min(round(SECONDS / session.world.dt), _BYTES // (12 * max(1, len(session.world)))))
-        after = session.timeline.after(session.timeline.at(session.frame))
-        return session.frame + count if after is None else min(session.frame + count, after.first)
+        next_stretch = session.timeline.next_stretch(session.timeline.at(session.frame))
+        return session.frame + count if next_stretch is None else min(session.frame + count, next_stretch.first)

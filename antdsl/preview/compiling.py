@@ -45,9 +45,9 @@ class Compiler:
         foreseen, self._foreseen = self._foreseen, None
         if foreseen is not None and foreseen.holds(choices or Choices(), self.instead, self._parsed):
             return foreseen.shot, foreseen.report
-        with _without_pauses(), sought() as found:
+        with _without_pauses(), sought() as sought_files:
             shot, report = open_scene(self.scene, choices, parsed=self._parsed, thorough=False)
-        self._tried = found
+        self._tried = sought_files
         if shot is not None:
             self._files = self._tried
         return shot, report
@@ -56,19 +56,19 @@ class Compiler:
         """Return a world of `shot` that continues from `world`; None and errors if it cannot be made."""
         with _without_pauses():
             try:
-                made, migration = take_over(world, shot.plan, shot.setting, self.built)
+                new_world, migration = take_over(world, shot.plan, shot.setting, self.built)
             except BindError as why:
                 return None, Migration(), why.report
         self.built.forget()
-        return made, migration, Report()
+        return new_world, migration, Report()
 
     def files(self) -> Sought:
         """All files that the scene was last made of, and those that it was tried with since: some may not be there yet. Each with
         the root below which no link is followed."""
-        found: Sought = {self.scene: None, **self._files, **self._tried}
+        roots_by_path: Sought = {self.scene: None, **self._files, **self._tried}
         for path in map(Path, self._parsed):
-            found.setdefault(path, path.parent)
-        return found
+            roots_by_path.setdefault(path, path.parent)
+        return roots_by_path
 
     def open_file(self, path: Path) -> int:
         """Return a handle on one of these files; the caller closes it. Raises OSError if it is missing or not a regular file."""

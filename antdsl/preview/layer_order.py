@@ -18,25 +18,25 @@ def texts_without(off: Off) -> tuple[dict[Path, str], list[tuple[str, str]]]:
     """Return the files' texts without the layers that are off (by species and text), and the layers that no longer exist. An
     unreadable file is left unchanged; compiling it reports the error."""
     texts: dict[Path, str] = {}
-    gone: list[tuple[str, str]] = []
+    missing_layers: list[tuple[str, str]] = []
     for path in dict.fromkeys(off.values()):
         source, _ = syntax.read(path)
         if source is None:
             continue
-        wanted = {key for key, place in off.items() if place == path}
+        layer_keys = {key for key, place in off.items() if place == path}
         file, _ = syntax.parse(source)
         spans = []
         for species in (item for item in file.items if isinstance(item, nodes.Species)):
             for layers in (member for member in species.members if isinstance(member, nodes.Layers)):
                 for layer in layers.layers:
                     key = (species.name.text, layer.span.text)
-                    if key in wanted:
+                    if key in layer_keys:
                         spans.append((layer.span.start, layer.span.end))
-                        wanted.discard(key)
-        gone += sorted(wanted)
+                        layer_keys.discard(key)
+        missing_layers += sorted(layer_keys)
         text = source.text
         for start, end in sorted(spans, reverse=True):
             text = text[:start] + re.sub("[^\n]", " ", text[start:end]) + text[end:]  # what follows stays where it is
         if spans:
             texts[Path(os.path.realpath(path))] = text
-    return texts, gone
+    return texts, missing_layers

@@ -64,11 +64,11 @@ class Live:
     ) -> Live:
         """Return a Live of a scene file. If the file has errors, the session opens as soon as they are fixed. `how` as in
         `Session.open`."""
-        made, compiler = cls.__new__(cls), Compiler(scene)
+        live, compiler = cls.__new__(cls), Compiler(scene)
         session, report = Session.open(scene, choices, options, compiler=compiler, **how)
-        made._begin(compiler, session, report, watch)
-        made._how = choices, options, how
-        return made
+        live._begin(compiler, session, report, watch)
+        live._how = choices, options, how
+        return live
 
     def _begin(self, compiler: Compiler, session: Session | None, report: Report, watch: bool) -> None:
         from antdsl.preview.observing.observers import OBSERVERS
@@ -213,9 +213,9 @@ class Live:
             self._try_to_open()
             return
         self.be_exact()
-        done = self._session.reload()
-        self.took(done.report)
-        self.tell_all(outcome(self, of, done))
+        result = self._session.reload()
+        self.took(result.report)
+        self.tell_all(outcome(self, of, result))
         self.screen.edited(files=True)
 
     def took(self, report: Report) -> None:
@@ -323,11 +323,11 @@ class Live:
     def _overtaken(self, ask: Ask, client: Client) -> bool:
         """Return whether a later request makes this one unnecessary, for example while a slider moves or agents are selected in
         quick succession."""
-        following, asker = self._queue[0] if self._queue else (None, None)
+        following, sender = self._queue[0] if self._queue else (None, None)
         if isinstance(ask, Set):
-            return isinstance(following, Set) and following.name == ask.name and asker is client
+            return isinstance(following, Set) and following.name == ask.name and sender is client
         if isinstance(ask, Explain | Look):
-            return type(following) is type(ask) and asker is client
+            return type(following) is type(ask) and sender is client
         return isinstance(ask, Seek) and isinstance(following, Seek)
 
     def _handle(self, ask: Ask, client: Client) -> None:

@@ -10,7 +10,7 @@ Name = Annotated[str, StringConstraints(min_length=1, max_length=200)]
 Words = Annotated[str, StringConstraints(min_length=1, max_length=2000)]
 Frame = Annotated[int, Field(ge=-(2**53), le=2**53)]  # what a page's numbers hold
 Agent = Annotated[int, Field(ge=0, le=2**53)]
-EVERYBODY = 300  # agents with planned paths displayed all at once, at most
+MAX_PLANNED_AGENTS = 300  # agents with planned paths displayed all at once, at most
 
 
 class Refusal(Exception):

@@ -72,9 +72,9 @@ class Session:
     ) -> tuple[Session | None, Report]:
         """Return a session at the scene's first simulated frame, or None, and a report. A checkpoint each `every` frames;
         `budget` bytes of memory for all that is stored. `compiler`: one that has tried this scene before."""
-        made = cls(compiler or Compiler(scene), options or Options(), Timeline(every, budget))
-        report = made._begin(choices or Choices(), {}).report
-        return (made if report.ok else None), report
+        session = cls(compiler or Compiler(scene), options or Options(), Timeline(every, budget))
+        report = session._begin(choices or Choices(), {}).report
+        return (session if report.ok else None), report
 
     # --- time --------------------------------------------------------------------------------------------------------
 
@@ -119,14 +119,14 @@ class Session:
     def step(self) -> None:
         """Go one frame on: first through the recorded history, then further. A fault only stops `playing`."""
         self._step()
-        later = self.timeline.after(self._stretch)
+        later = self.timeline.next_stretch(self._stretch)
         if later is not None and later.first == self.frame:
             self._restore(later, later.first)
         self.timeline.note(self._stretch, self.world)
 
     def seek(self, frame: int) -> None:
         """Go to a frame that was simulated. Raises ValueError for any other frame, also for one that was dropped."""
-        self._kept(frame)
+        self._check_stored(frame)
         if not self.leads_to(frame):
             self._restore(self.timeline.at(frame), self.nearest(frame))
         while self.frame < frame:
@@ -139,14 +139,14 @@ class Session:
 
     def nearest(self, frame: int) -> int:
         """Return the frame of the checkpoint from which a frame is simulated. Raises ValueError as `seek` does."""
-        self._kept(frame)
+        self._check_stored(frame)
         return nearest_checkpoint(self.timeline.at(frame), frame)
 
-    def _kept(self, frame: int) -> None:
+    def _check_stored(self, frame: int) -> None:
         if not self.first <= frame <= self.head:
             raise ValueError(f"frame {frame} is not among those stored, {self.first} to {self.head}")
 
-    def shown(self, frame: int) -> Mapping[str, Light] | None:
+    def light_at(self, frame: int) -> Mapping[str, Light] | None:
         """Return the agents at a frame by species, without simulation; None if the frame was dropped."""
         return self.timeline.light.get(frame)
 
@@ -212,7 +212,7 @@ class Session:
         quantity, report = _quantity(self.shot, name, value)
         if quantity is None:
             return Outcome(report)
-        if name not in self.shot.plan.params or name in asked_before_the_first_step(self.shot.plan):
+        if name not in self.shot.plan.params or name in find_binding_params(self.shot.plan):
             choices = self.choices
             return self._with(replace(choices, params={**choices.params, name: value}), self._stretch.off, text, did)
         self.timeline.cut(self.frame, text)
@@ -241,10 +241,10 @@ class Session:
                 return _unknown(f"no layer of `{species}` that is off is `{layer}`")
             return self._with(self.choices, off, did=f"layer `{_short(layer)}` is on again")
         plan = self.shot.plan.species.get(species)
-        found = next((each for each in plan.layers if each.span.text == layer), None) if plan is not None else None
-        if found is None:
+        layer_plan = next((each for each in plan.layers if each.span.text == layer), None) if plan is not None else None
+        if layer_plan is None:
             return _unknown(f"no layer of `{species}` is `{layer}`")
-        off[key] = Path(os.path.realpath(found.span.source.path))
+        off[key] = Path(os.path.realpath(layer_plan.span.source.path))
         text = "\n".join(f"# {line.strip()}" for line in layer.splitlines())
         return self._with(self.choices, off, text, f"layer `{_short(layer)}` is off")
 
@@ -271,16 +271,16 @@ class Session:
 
     def _opened(self, choices: Choices, off: Off) -> tuple[Shot | None, Report, list[tuple[str, str]]]:
         """Return the shot of the files with these choices, and the layers that no longer exist."""
-        before = self.compiler.instead
-        self.compiler.instead, gone = texts_without(off)
+        previous_texts = self.compiler.instead
+        self.compiler.instead, missing_layers = texts_without(off)
         shot, report = self.compiler.open(choices)
         if shot is None or not report.ok:
-            self.compiler.instead = before
-        return shot, report, gone
+            self.compiler.instead = previous_texts
+        return shot, report, missing_layers
 
     def _with(self, choices: Choices, off: Off, text: str = "", did: str | None = None) -> Outcome:
         """Go on with the current files and other choices. Without `did`, it is the files that may have changed."""
-        shot, report, gone = self._opened(choices, off)
+        shot, report, missing_layers = self._opened(choices, off)
         if shot is None or not report.ok:
             return Outcome(report)
         saved, did = did is None, differing(self.shot, shot) if did is None else did
@@ -293,8 +293,8 @@ class Session:
         if world is None:
             return Outcome(report)
         report.extend(start_findings(shot.scene, world))
-        line = " · ".join([migration_line(migration), *(f"layer `{layer}` is gone" for _, layer in gone)])
-        off = {key: path for key, path in off.items() if key not in gone}
+        line = " · ".join([migration_line(migration), *(f"layer `{layer}` is gone" for _, layer in missing_layers)])
+        off = {key: path for key, path in off.items() if key not in missing_layers}
         stretch = Stretch(shot, world.frame, did, world.origin, choices, off)
         stretch.go_on_from(self._stretch, self.world, world)
         self.timeline.start(stretch, world)
@@ -358,9 +358,9 @@ def _unknown(message: str) -> Outcome:
     return Outcome(report)
 
 
-def asked_before_the_first_step(plan: Plan) -> frozenset[str]:
+def find_binding_params(plan: Plan) -> frozenset[str]:
     """Params that fields, other params or newborn agents are made with. All others may change between two steps."""
-    nodes = [node for made in plan.fields.values() for node in field_nodes(made)]
+    nodes = [node for field_plan in plan.fields.values() for node in field_nodes(field_plan)]
     nodes += [param.default for param in plan.params.values()]
     for species in plan.species.values():
         nodes += [node for _, statement in statements(species.born) for node in operands(statement)]

@@ -60,12 +60,12 @@ class Foreseen:
 
 def sources(document: Node) -> Iterator[Source]:
     """Yield the texts that contain parts of a scene, including an extended scene."""
-    found: set[Source] = set()
+    known_sources: set[Source] = set()
     stack: list[Node] = [document]
     while stack:
         node = stack.pop()
-        if node.span.source not in found:
-            found.add(node.span.source)
+        if node.span.source not in known_sources:
+            known_sources.add(node.span.source)
             yield node.span.source
         if isinstance(node, MappingNode):
             stack += node.entries.values()
@@ -84,13 +84,13 @@ def _same_text(source: Source) -> bool:
 def differing(old: Shot, new: Shot) -> str:
     """Return the files in which two shots differ, with lines: `forager.ant line 34, scene.yaml lines 9–12`; empty if none
     differs."""
-    before, after = _texts(old), _texts(new)
-    found = [_lines(name, before.get(name), text) for name, text in after.items() if before.get(name) != text]
+    old_texts, new_texts = _texts(old), _texts(new)
+    differences = [_lines(name, old_texts.get(name), text) for name, text in new_texts.items() if old_texts.get(name) != text]
     others = {name for name in old.inputs.keys() & new.inputs.keys() if old.inputs[name] != new.inputs[name]}
-    found += sorted(name for name in others if name not in after and Path(name).suffix)  # meshes and such
-    found += [f"{name} is gone" for name in before if name not in after]
-    more = f" and {len(found) - _NAMED} more" if len(found) > _NAMED else ""
-    return ", ".join(found[:_NAMED]) + more
+    differences += sorted(name for name in others if name not in new_texts and Path(name).suffix)  # meshes and such
+    differences += [f"{name} is gone" for name in old_texts if name not in new_texts]
+    remainder = f" and {len(differences) - _NAMED} more" if len(differences) > _NAMED else ""
+    return ", ".join(differences[:_NAMED]) + remainder
 
 
 def _texts(shot: Shot) -> dict[str, str]:
@@ -102,15 +102,19 @@ def _lines(name: str, old: str | None, new: str) -> str:
     """Return a file's name with its changed lines, from the first to the last."""
     if old is None:
         return f"{name} is new"
-    before, after = old.splitlines(), new.splitlines()
-    start, most = 0, min(len(before), len(after))
-    while start < most and before[start] == after[start]:
+    old_lines, new_lines = old.splitlines(), new.splitlines()
+    start, most = 0, min(len(old_lines), len(new_lines))
+    while start < most and old_lines[start] == new_lines[start]:
         start += 1
     end = 0
-    while end < most - start and before[-1 - end] == after[-1 - end]:
+    while end < most - start and old_lines[-1 - end] == new_lines[-1 - end]:
         end += 1
-    first, last = start + 1, len(after) - end
+    first, last = start + 1, len(new_lines) - end
     if last < first:
-        gone = len(before) - len(after)
-        return f"{name}: {gone} {'line' if gone == 1 else 'lines'} gone after line {start}" if gone else name
+        removed_count = len(old_lines) - len(new_lines)
+        return (
+            f"{name}: {removed_count} {'line' if removed_count == 1 else 'lines'} gone after line {start}"
+            if removed_count
+            else name
+        )
     return f"{name} line {first}" if first == last else f"{name} lines {first}–{last}"

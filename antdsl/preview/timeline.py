@@ -38,13 +38,13 @@ class Light:
     states: dict[str, NDArray[np.uint8]]
 
     @classmethod
-    def of(cls, population: Population, before: Light | None = None) -> Light:
-        """Return the current state of a species. `before`: its state in the previous frame."""
+    def of(cls, population: Population, previous: Light | None = None) -> Light:
+        """Return the current state of a species. `previous`: its state in the previous frame."""
         rows = population.in_id_order()
         ids, size = population.ids[rows], population.now["size"][rows]
-        if before is not None:
-            ids = before.ids if np.array_equal(ids, before.ids) else ids
-            size = before.size if np.array_equal(size, before.size) else size
+        if previous is not None:
+            ids = previous.ids if np.array_equal(ids, previous.ids) else ids
+            size = previous.size if np.array_equal(size, previous.size) else size
         states = {m.name: population.now[f"{m.name}.state"][rows].astype(np.uint8) for m in population.plan.machines}
         heading, up = turn(population, "heading", rows), turn(population, "up", rows)
         return cls(ids, population.position[rows].astype(np.float32), heading, up, size, states)
@@ -136,13 +136,13 @@ class Stretch:
     fresh: bool = True
     _unedited: tuple[object, str] | None = None  # what an unedited run to its first frame is made of, and the hash there
 
-    def go_on_from(self, before: Stretch, old: World, world: World) -> None:
-        """Replace the stretch `before` at the frame of `old`, with `world`, which was made from `old`. The stretch still counts
+    def go_on_from(self, previous: Stretch, old: World, world: World) -> None:
+        """Replace the stretch `previous` at the frame of `old`, with `world`, which was made from `old`. The stretch still counts
         as a fresh run if an edit was undone at the frame of the edit and nothing was lost."""
-        if before.first == old.frame and before._unedited is not None:
-            self._unedited = before._unedited
-        elif before.fresh and not before.changes:
-            self._unedited = before._made_of(), state_hash(old)
+        if previous.first == old.frame and previous._unedited is not None:
+            self._unedited = previous._unedited
+        elif previous.fresh and not previous.changes:
+            self._unedited = previous._made_of(), state_hash(old)
         same = self._unedited is not None and self._unedited[0] == self._made_of()
         self.fresh = same and self._unedited == (self._made_of(), state_hash(world))
 
@@ -151,9 +151,9 @@ class Stretch:
 
     def change(self, world: World, name: str, text: str, value: float) -> None:
         """Set a param from the world's frame on. A value that is put back at the frame at which it was set leaves no change."""
-        here = [each for each in self.changes if (each.frame, each.name) == (world.frame, name)]
-        was = here[0].was if here else float(world.params[name])
-        self.changes = [each for each in self.changes if each not in here]
+        current_changes = [each for each in self.changes if (each.frame, each.name) == (world.frame, name)]
+        was = current_changes[0].was if current_changes else float(world.params[name])
+        self.changes = [each for each in self.changes if each not in current_changes]
         if np.float32(value) != np.float32(was):
             self.changes.append(Change(world.frame, name, text, value, was))
         set_param(world, name, value)
@@ -213,7 +213,7 @@ class Timeline:
         """The stretch that a frame belongs to: where two meet, the later one."""
         return next(stretch for stretch in reversed(self.stretches) if stretch.first <= frame)
 
-    def after(self, stretch: Stretch) -> Stretch | None:
+    def next_stretch(self, stretch: Stretch) -> Stretch | None:
         number = self.stretches.index(stretch) + 1
         return self.stretches[number] if number < len(self.stretches) else None
 
@@ -246,11 +246,11 @@ class Timeline:
 
     def begun_again(self, line: str) -> Timeline:
         """Return an empty timeline. The old history becomes a branch of it, if it has more than one frame."""
-        made = Timeline(self.every, self.budget)
-        made.branches = self.branches
+        timeline = Timeline(self.every, self.budget)
+        timeline.branches = self.branches
         if len(self.curves) > 1:
-            made._branch(Branch(next(iter(self.curves)), line, self.curves))
-        return made
+            timeline._branch(Branch(next(iter(self.curves)), line, self.curves))
+        return timeline
 
     def stop(self, frame: int, why: str) -> None:
         """Mark a frame as one at which play was stopped."""
@@ -275,9 +275,9 @@ class Timeline:
             stretch.checkpoints[frame] = checkpoint(world)
             self._bytes += _size(stretch.checkpoints[frame])
         if fresh:
-            before = self.light.get(frame - 1, {})
+            previous = self.light.get(frame - 1, {})
             self.poses.drop(frame)
-            self.light.put(frame, {name: Light.of(p, before.get(name)) for name, p in world.populations.items()})
+            self.light.put(frame, {name: Light.of(p, previous.get(name)) for name, p in world.populations.items()})
         self._keep_to_budget(stretch)
 
     def _forget(self, frame: int) -> None:
@@ -300,7 +300,7 @@ class Timeline:
             self.poses.drop(next(iter(self.poses)))
             return True
         if self.light.nbytes <= _LIGHT * self.budget:
-            between = [found for each in self.stretches for found in _between(each)]
+            between = [entry for each in self.stretches for entry in _between(each)]
             if between:
                 _, _, frame, stretch = min(between, key=lambda each: each[:3])
                 self._bytes -= _size(stretch.checkpoints.pop(frame))
@@ -319,21 +319,21 @@ def _between(stretch: Stretch) -> Iterator[tuple[bool, int, int, Stretch]]:
     """Yield the checkpoints of a stretch except the first: whether it is the last one, the longest simulation without it
     (frames), its frame, the stretch."""
     frames = sorted(stretch.checkpoints)
-    for before, frame, after in zip(frames, frames[1:], [*frames[2:], None], strict=False):
-        yield after is None, (frame if after is None else after) - before, frame, stretch
+    for previous_frame, frame, next_frame in zip(frames, frames[1:], [*frames[2:], None], strict=False):
+        yield next_frame is None, (frame if next_frame is None else next_frame) - previous_frame, frame, stretch
 
 
 def measured(world: World) -> dict[str, float]:
     """Counts of agents by species and by state, and totals of items, by the names that specs have for them."""
-    found: dict[str, float] = {}
+    values: dict[str, float] = {}
     for name, population in world.populations.items():
-        found[name] = len(population)
+        values[name] = len(population)
         for machine in population.plan.machines:
             counts = np.bincount(population.now[f"{machine.name}.state"], minlength=len(machine.states))
-            found |= {f"{name}.{machine.name}.{state}": int(n) for state, n in zip(machine.states, counts, strict=True)}
+            values |= {f"{name}.{machine.name}.{state}": int(n) for state, n in zip(machine.states, counts, strict=True)}
     for name, items in world.items.items():
-        found |= {f"{name}.{attribute}": float(amounts.sum()) for attribute, amounts in items.amounts.items()}
-    return found
+        values |= {f"{name}.{attribute}": float(amounts.sum()) for attribute, amounts in items.amounts.items()}
+    return values
 
 
 def _size(arrays: Arrays) -> int:

@@ -72,10 +72,10 @@ class Watch:
 
     def stirs(self) -> bool:
         """Return whether a file changed and may still be being written. Reports each change once."""
-        found = [file for file in self._files.values() if file.stirred]
-        for file in found:
+        changed_files = [file for file in self._files.values() if file.stirred]
+        for file in changed_files:
             file.stirred = False
-        return any(file.stamp is not None and file.stamp[1] > 0 for file in found)
+        return any(file.stamp is not None and file.stamp[1] > 0 for file in changed_files)
 
     def changes(self, stop: Event, every: float = 0.02) -> Iterator[tuple[Path, ...]]:
         """Wait for changes and yield them until `stop` is set."""

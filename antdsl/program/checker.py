@@ -14,7 +14,7 @@ from antdsl.program.declarations.behaviours import check_behaviour
 from antdsl.program.declarations.species import complete, draft
 from antdsl.program.declarations.specs import check_spec
 from antdsl.program.declarations.world import check_brought, check_field, declare_fields, declare_world
-from antdsl.program.memo import Memo, part, seen
+from antdsl.program.memo import Memo, part, update_outside
 from antdsl.program.names.bindings import Bindings
 from antdsl.program.names.collect import Library, Loader, declare
 from antdsl.program.names.scope import Declared, FileNames, SpeciesNames
@@ -49,7 +49,7 @@ def check(
     for each in names:
         declare_world(declared, each)
     fields = [(each, field) for each in names for field in declare_fields(declared, each)]
-    outside = seen(declared, _outside(declared, loader))
+    outside = update_outside(declared, _outside(declared, loader))
     program = _program(declared, names, fields)
     declared.outside = outside
     _behaviours(declared, [*names, *_modules(names)])
@@ -65,9 +65,9 @@ def check(
         memo.forget()
         if any(each.wanting for each in loader.known.values()):
             memo.known.clear()  # parts did not report what a missing `use` would bring
-    places = {first: tuple(dict.fromkeys(others)) for first, *others in declared.unknown.values() if others}
+    repeated_spans = {first: tuple(dict.fromkeys(others)) for first, *others in declared.unknown.values() if others}
     program = replace(program, bindings=Bindings(tuple(declared.bound)))
-    return program, without_consequences(*_whole(loader, with_all_places(report, places), recovered))
+    return program, without_consequences(*_map_to_files(loader, with_all_places(report, repeated_spans), recovered))
 
 
 def _look(checked: Checked, look: Check, report: Report) -> None:
@@ -78,37 +78,37 @@ def _look(checked: Checked, look: Check, report: Report) -> None:
         return
     params = tuple(program.params.values())
 
-    def seen(species: model.Species) -> None:
+    def check_species(species: model.Species) -> None:
         look(replace(checked, program=replace(program, species={species.name: species})), report)
 
-    def seen_state(species: model.Species, machine: model.Machine, state: model.State) -> None:
-        seen(_with_one_state(species, machine, state))
+    def check_state(species: model.Species, machine: model.Machine, state: model.State) -> None:
+        check_species(_with_one_state(species, machine, state))
 
     for species in program.species.values():
         if look not in OF_STATES:
-            part(checked.declared, (look, species, params), partial(seen, species))
+            part(checked.declared, (look, species, params), partial(check_species, species))
             continue
         without = replace(species, machines=())
-        part(checked.declared, (look, species.layers, params), partial(seen, without))
+        part(checked.declared, (look, species.layers, params), partial(check_species, without))
         for machine in species.machines:
             for state in machine.states:
-                part(checked.declared, (look, state, params), partial(seen_state, species, machine, state))
+                part(checked.declared, (look, state, params), partial(check_state, species, machine, state))
 
 
 def _with_one_state(species: model.Species, machine: model.Machine, state: model.State) -> model.Species:
     return replace(species, machines=(replace(machine, states=(state,)),), layers=replace(species.layers, layers=()))
 
 
-def _whole(loader: Loader, report: Report, recovered: Sequence[Span]) -> tuple[Report, list[Span]]:
+def _map_to_files(loader: Loader, report: Report, recovered: Sequence[Span]) -> tuple[Report, list[Span]]:
     """The same complaints and recovered places, in whole files instead of in parts of them."""
     files = {part: file.node for file in loader.known.values() for part in file.node.parts}
     if not files:
         return report, list(recovered)
 
-    def whole(span: Span) -> Span:
-        return files[span.source].whole(span) if span.source in files else span
+    def map_span(span: Span) -> Span:
+        return files[span.source].file_span(span) if span.source in files else span
 
-    return Report([moved(each, whole) for each in report.diagnostics]), [whole(span) for span in recovered]
+    return Report([moved(each, map_span) for each in report.diagnostics]), [map_span(span) for span in recovered]
 
 
 def _outside(declared: Declared, loader: Loader) -> Hashable:
@@ -139,9 +139,9 @@ def _program(
         for item in file.node.items:
             if isinstance(item, nodes.Species) and declared.species[item.name.text].node is item:
                 drafts.append(draft(declared, file, item))
-                seen(declared, (declared.outside, _types(drafts[-1].names)))
+                update_outside(declared, (declared.outside, _types(drafts[-1].names)))
     check_brought(declared)
-    seen(declared, (declared.outside, *map(_types, declared.species.values())))
+    update_outside(declared, (declared.outside, *map(_types, declared.species.values())))
     species = {work.names.name: complete(work) for work in drafts}
     params = {param.name: param for each in species.values() for param in each.params}
     written = [(file, item) for file in names for item in file.node.items if isinstance(item, nodes.Spec)]
@@ -171,14 +171,14 @@ def _spec_names(declared: Declared, file: FileNames) -> None:
 
 def _modules(names: Sequence[FileNames]) -> list[FileNames]:
     """Every file that is used by path, once."""
-    found: dict[int, FileNames] = {}
+    modules: dict[int, FileNames] = {}
     stack = list(names)
     while stack:
         for module in stack.pop().aliases.values():
-            if id(module) not in found:
-                found[id(module)] = module
+            if id(module) not in modules:
+                modules[id(module)] = module
                 stack.append(module)
-    return list(found.values())
+    return list(modules.values())
 
 
 def _behaviours(declared: Declared, names: Sequence[FileNames]) -> None:

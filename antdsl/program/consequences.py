@@ -22,7 +22,7 @@ _FIRST_WORD = re.compile("`([a-z_]+)[^`]*`")
 # A line that has come no further than the word that declares something.
 _NAMELESS = re.compile(rf"\s*(state|field|param|let|latch|fuzzy|{'|'.join(KINDS_OF_THINGS)})\s*")
 _HEAD = 3  # words of a line among which the name that it declares stands
-_SHOWN = 12  # of the places where one thing is missing
+_MAX_PLACES = 12  # of the places where one thing is missing
 
 
 @dataclass(slots=True)
@@ -30,7 +30,7 @@ class _Doubt:
     """Lines of one source that could not be parsed: their numbers, and their first words."""
 
     lines: set[int] = field(default_factory=set)
-    heads: set[str] = field(default_factory=set)
+    first_words: set[str] = field(default_factory=set)
     missing: set[str] = field(default_factory=set)  # codes of what follows where a line declares something without its name
 
 
@@ -44,40 +44,47 @@ def without_consequences(report: Report, recovered: Iterable[Span]) -> Report:
     return Report([d for d in report.diagnostics if not _follows(d, doubts, meant) and not _renamed(d, twice)])
 
 
-def with_all_places(report: Report, places: Mapping[Span, Sequence[Span]]) -> Report:
+def with_all_places(report: Report, repeated_spans: Mapping[Span, Sequence[Span]]) -> Report:
     """Return the report in which a finding about the first of several places also names the others."""
-    return Report([replace(d, labels=_also(d, places)) if d.span in places else d for d in report.diagnostics])
+    return Report([replace(d, labels=_also(d, repeated_spans)) if d.span in repeated_spans else d for d in report.diagnostics])
 
 
 def in_one(report: Report) -> Report:
     """Return the report with one finding for equal messages about several places of one file, with all of the places."""
-    found: dict[tuple[str, str, str], list[Diagnostic]] = {}
+    groups: dict[tuple[str, str, str], list[Diagnostic]] = {}
     for each in report.diagnostics:
-        found.setdefault((each.code, each.message, each.span.source.path if each.span else ""), []).append(each)
-    places = [[each.span for each in others if each.span] for _, *others in found.values()]
-    firsts = [first for first, *_ in found.values()]
-    return Report([replace(one, labels=(*one.labels, *_here(rest))) for one, rest in zip(firsts, places, strict=True)])
+        groups.setdefault((each.code, each.message, each.span.source.path if each.span else ""), []).append(each)
+    other_spans = [[each.span for each in others if each.span] for _, *others in groups.values()]
+    firsts = [first for first, *_ in groups.values()]
+    return Report(
+        [replace(one, labels=(*one.labels, *_repeat_labels(rest))) for one, rest in zip(firsts, other_spans, strict=True)]
+    )
 
 
-def _also(found: Diagnostic, places: Mapping[Span, Sequence[Span]]) -> tuple[Label, ...]:
-    others = [each for each in places[found.span] if each != found.span] if found.code in _MISSING and found.span else []
-    return (*found.labels, *_here(others))
+def _also(diagnostic: Diagnostic, repeated_spans: Mapping[Span, Sequence[Span]]) -> tuple[Label, ...]:
+    others = (
+        [each for each in repeated_spans[diagnostic.span] if each != diagnostic.span]
+        if diagnostic.code in _MISSING and diagnostic.span
+        else []
+    )
+    return (*diagnostic.labels, *_repeat_labels(others))
 
 
-def _here(others: Sequence[Span]) -> list[Label]:
-    left = len(others) - _SHOWN
-    labels = [Label(span, "and here") for span in others[:_SHOWN]]
+def _repeat_labels(others: Sequence[Span]) -> list[Label]:
+    left = len(others) - _MAX_PLACES
+    labels = [Label(span, "and here") for span in others[:_MAX_PLACES]]
     if left > 0:
         labels[-1] = replace(labels[-1], text=f"and here, and at {left} more {'place' if left == 1 else 'places'}")
     return labels
 
 
-def _renamed(found: Diagnostic, twice: set[tuple[Source, str]]) -> bool:
+def _renamed(diagnostic: Diagnostic, twice: set[tuple[Source, str]]) -> bool:
     """Whether a name is missing, and two others of its kind are alike: one of them was to have it."""
-    if found.span is None or found.code not in _MISSING:
+    if diagnostic.span is None or diagnostic.code not in _MISSING:
         return False
     return any(
-        source is found.span.source and (found.code == f"unknown-{kind}" or found.message.startswith(f"no {kind} "))
+        source is diagnostic.span.source
+        and (diagnostic.code == f"unknown-{kind}" or diagnostic.message.startswith(f"no {kind} "))
         for source, kind in twice
     )
 
@@ -85,25 +92,27 @@ def _renamed(found: Diagnostic, twice: set[tuple[Source, str]]) -> bool:
 def _doubt(doubt: _Doubt, span: Span) -> None:
     first = span.source.line_column(span.start)[0]
     last = span.source.line_column(max(span.start, span.end - 1))[0]
-    begun = _NAMELESS.fullmatch(span.source.line_text(first)[: span.source.line_column(span.start)[1] - 1])
-    if begun and not span.text[:1].isidentifier():
-        doubt.missing.add(f"unknown-{begun[1]}" if begun[1] in ("state", "field", "species") else "unknown-name")
+    nameless_start = _NAMELESS.fullmatch(span.source.line_text(first)[: span.source.line_column(span.start)[1] - 1])
+    if nameless_start and not span.text[:1].isidentifier():
+        doubt.missing.add(
+            f"unknown-{nameless_start[1]}" if nameless_start[1] in ("state", "field", "species") else "unknown-name"
+        )
     if _WORDS.findall(span.source.line_text(first))[:1] == ["use"]:
         doubt.missing |= {"unknown-behaviour", "unknown-module"}
     for line in range(first, last + 1):
         if line not in doubt.lines:
             doubt.lines.add(line)
-            doubt.heads.update(_WORDS.findall(span.source.line_text(line).partition("#")[0])[:_HEAD])
+            doubt.first_words.update(_WORDS.findall(span.source.line_text(line).partition("#")[0])[:_HEAD])
 
 
-def _follows(found: Diagnostic, doubts: dict[Source, _Doubt], meant: set[tuple[Source, str | None]]) -> bool:
-    if found.span is None:
+def _follows(diagnostic: Diagnostic, doubts: dict[Source, _Doubt], meant: set[tuple[Source, str | None]]) -> bool:
+    if diagnostic.span is None:
         return False
-    if found.code in _LEFT_OUT and (word := _FIRST_WORD.search(found.help or "")):
-        return (found.span.source, f"did you mean `{word[1]}`?") in meant
-    doubt = doubts.get(found.span.source)
+    if diagnostic.code in _LEFT_OUT and (word := _FIRST_WORD.search(diagnostic.help or "")):
+        return (diagnostic.span.source, f"did you mean `{word[1]}`?") in meant
+    doubt = doubts.get(diagnostic.span.source)
     if doubt is None:
         return False
-    if found.span.source.line_column(found.span.start)[0] in doubt.lines or found.code in doubt.missing:
+    if diagnostic.span.source.line_column(diagnostic.span.start)[0] in doubt.lines or diagnostic.code in doubt.missing:
         return True
-    return found.code in _MISSING and found.span.text in doubt.heads
+    return diagnostic.code in _MISSING and diagnostic.span.text in doubt.first_words

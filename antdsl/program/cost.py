@@ -58,7 +58,7 @@ class Part:
 
 def costs(program: Program, species: Species) -> list[Part]:
     """Return the costs of every state of a species in text order, and last those common to all states."""
-    found = [
+    state_parts = [
         Part(
             state.name if len(species.machines) == 1 else f"{machine.name}.{state.name}",
             *_uses(program, _of(species, machine, state)),
@@ -73,27 +73,27 @@ def costs(program: Program, species: Species) -> list[Part]:
         relaxed,
         [handler.actions for handler in species.handlers if handler.event != "spawn"],
     )
-    return [*found, Part("every state", *_uses(program, always))]
+    return [*state_parts, Part("every state", *_uses(program, always))]
 
 
 def _of(species: Species, machine: Machine, state: State) -> object:
     """Return what is computed in each step in which an agent is in the state; what is done once, on entry or exit, is not."""
     still = species.rest.push if species.rest is not None and state.index in species.rest.silent.get(machine.name, ()) else None
-    changes = [(change.condition, change.after, change.held, change.take) for change in state.transitions]
+    changes = [(change.condition, change.delay, change.held, change.take) for change in state.transitions]
     return state.body, still, changes
 
 
 def _uses(program: Program, root: object) -> tuple[tuple[Use, ...], int]:
-    found: dict[tuple[str, str], float] = {}
+    weights: dict[tuple[str, str], float] = {}
     sums = 0
     inside = _inside_sets(root)
     for part in parts(root):
         sums += _operations(part) * (MEMBERS if id(part) in inside else 1)
         for use in _use(part):
             # an equal sense is computed once; draws are each their own
-            kept = found.get((use.kind, use.words), 0.0)
-            found[use.kind, use.words] = kept + use.weight if use.kind == "draws" else use.weight
-    return tuple(Use(kind, words, weight) for (kind, words), weight in found.items()), sums
+            previous = weights.get((use.kind, use.words), 0.0)
+            weights[use.kind, use.words] = previous + use.weight if use.kind == "draws" else use.weight
+    return tuple(Use(kind, words, weight) for (kind, words), weight in weights.items()), sums
 
 
 def _inside_sets(root: object) -> set[int]:

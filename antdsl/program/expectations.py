@@ -8,7 +8,7 @@ from antdsl.syntax import nodes
 
 
 @value
-class Whole(Expr):
+class Aggregate(Expr):
     """A number or bool about a whole population. `how`: total mean min max share count any every. `over`: a SPECIES, ITEMS, FIELD
     or SOLID (its total is the volume).
 

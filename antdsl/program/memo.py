@@ -24,7 +24,7 @@ def part(declared: Declared, key: tuple[Any, ...], make: Callable[[], T]) -> T:
     return make() if declared.memo is None else declared.memo.part(declared, (key, declared.outside), make)
 
 
-def seen(declared: Declared, outside: Hashable) -> int:
+def update_outside(declared: Declared, outside: Hashable) -> int:
     """Set `declared.outside` to a number for everything that parts can see of the others from here on, and return it. The visible
     state may be large, so it is compared once, not with each part's key."""
     declared.outside = 0 if declared.memo is None else declared.memo.number(outside)
@@ -49,9 +49,9 @@ class _Unknown(dict[tuple[str, ...], list[Span]]):
     silenced = False
 
     def __contains__(self, name: object) -> bool:
-        found = super().__contains__(name)
-        self.silenced = self.silenced or found
-        return found
+        is_known = super().__contains__(name)
+        self.silenced = self.silenced or is_known
+        return is_known
 
 
 class Memo:
@@ -79,7 +79,7 @@ class Memo:
         self.asked.add(key)
         known = self.known.get(key)
         if known is None:
-            return self._made(declared, key, make)
+            return self._compute(declared, key, make)
         declared.used |= known.used
         declared.written |= known.written
         declared.expanded += known.expanded
@@ -87,8 +87,8 @@ class Memo:
         declared.report.extend(known.said)
         return known.result  # type: ignore[no-any-return]
 
-    def _made(self, declared: Declared, key: _Key, make: Callable[[], T]) -> T:
-        said, expanded, told = len(declared.report.diagnostics), declared.expanded, len(declared.unknown)
+    def _compute(self, declared: Declared, key: _Key, make: Callable[[], T]) -> T:
+        said, expanded, unknown_count = len(declared.report.diagnostics), declared.expanded, len(declared.unknown)
         bound = len(declared.bound)
         used, written, names = declared.used, declared.written, declared.unknown
         declared.used, declared.written, declared.unknown = set(), set(), _Unknown(names)
@@ -97,7 +97,7 @@ class Memo:
         finally:
             own_used, own_written, own_unknown = declared.used, declared.written, declared.unknown
             declared.used, declared.written, declared.unknown = used | own_used, written | own_written, names | own_unknown
-        if len(own_unknown) == told and not (isinstance(own_unknown, _Unknown) and own_unknown.silenced):
+        if len(own_unknown) == unknown_count and not (isinstance(own_unknown, _Unknown) and own_unknown.silenced):
             complaints = tuple(declared.report.diagnostics[said:])
             spent = declared.expanded - expanded
             names_there = tuple(declared.bound[bound:])
@@ -111,6 +111,6 @@ class Memo:
     def forget(self) -> None:
         """Drop entries that the completed check did not use."""
         self.known = {key: value for key, value in self.known.items() if key in self.asked}
-        seen = self.seen.union(outside for _, outside in self.known)
-        self.numbers = {value: number for value, number in self.numbers.items() if number in seen}
+        used_numbers = self.seen.union(outside for _, outside in self.known)
+        self.numbers = {value: number for value, number in self.numbers.items() if number in used_numbers}
         self.asked, self.seen = set(), set()

@@ -47,9 +47,9 @@ class Steer:
 
 @value
 class Face:
-    """Turn the body towards `way`; only its direction counts."""
+    """Turn the body towards `direction`; only its direction counts."""
 
-    way: Expr
+    direction: Expr
     span: Span
 
 
@@ -106,7 +106,7 @@ class Play:
     span: Span
     again: Expr | None = None
     add: bool = False
-    ways: tuple[str, str, str, str] = ("", "", "", "")  # clips for who turns left or right, climbs, goes down
+    blend_clips: tuple[str, str, str, str] = ("", "", "", "")  # clips for who turns left or right, climbs, goes down
 
 
 @value
@@ -158,13 +158,13 @@ ANYWHERE = "from any"  # in the keys of those changes: no state can have this na
 
 @value
 class Transition:
-    """`condition` None is always true. All conditions that are present must hold: `after` (time in the state), and `condition`
+    """`condition` None is always true. All conditions that are present must hold: `delay` (time in the state), and `condition`
     for `held`."""
 
     key: str  # forager.main.search->approach#1
     interrupt: bool
     condition: Expr | None
-    after: Expr | None
+    delay: Expr | None
     held: Expr | None
     take: Take | None
     target: int | None  # state index; None with `choices` or for previous
@@ -199,13 +199,13 @@ class Machine:
 
 @value
 class AttributeDecl:
-    """`default` is evaluated once, at birth (params and draws allowed). `given` marks built-in attributes such as size and
+    """`default` is evaluated once, at birth (params and draws allowed). `is_builtin` marks built-in attributes such as size and
     max_speed."""
 
     name: str
     type: Type
     default: Expr
-    given: bool
+    is_builtin: bool
     help: str
     span: Span
     relax_to: Expr | None = None

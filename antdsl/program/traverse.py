@@ -15,7 +15,7 @@ _INNER: dict[type, tuple[str, ...]] = {}  # by type, the fields with something i
 
 def parts(root: object) -> Iterator[object]:
     """Every value of the checked program below `root`, bindings behind names included."""
-    seen: set[int] = set()
+    visited: set[int] = set()
     stack: list[object] = [root]
     while stack:
         part = stack.pop()
@@ -29,8 +29,8 @@ def parts(root: object) -> Iterator[object]:
         names = _INNER.get(kind)
         if names is None:
             names = _INNER[kind] = _inner(kind)
-        if names and id(part) not in seen:
-            seen.add(id(part))
+        if names and id(part) not in visited:
+            visited.add(id(part))
             yield part
             stack += [value for name in names if type(value := getattr(part, name)) not in _LEAVES]
 
@@ -82,12 +82,12 @@ def names_in(root: object) -> Iterator[nodes.Name]:
 def inside(expr: model.Expr) -> Iterator[object]:
     """Yield every expression and binding inside an expression, each once, the expression itself first."""
     stack: list[object] = [expr]
-    seen: set[int] = set()
+    visited_ids: set[int] = set()
     while stack:
         each = stack.pop()
-        if each is None or id(each) in seen:
+        if each is None or id(each) in visited_ids:
             continue
-        seen.add(id(each))
+        visited_ids.add(id(each))
         yield each
         stack += reversed(_parts(each))
 

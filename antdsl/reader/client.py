@@ -103,8 +103,8 @@ class _Process:
                 os.kill(self.process.pid, getattr(signal, "SIGKILL", signal.SIGTERM))
 
     def _add(self, total: float) -> float:
-        before, self._seconds = self._seconds, max(self._seconds, total)
-        return self._seconds - before
+        previous_seconds, self._seconds = self._seconds, max(self._seconds, total)
+        return self._seconds - previous_seconds
 
     def forget(self) -> None:
         """Close this process's ends of the pipes: the child belongs to the process that this one was forked from."""
@@ -198,7 +198,7 @@ class Reader:
         except OSError as problem:
             words = "cannot be read: the process that reads it cannot be started"
             raise ReaderFailure(words, "run `antdsl doctor`", is_lasting=False) from problem
-        late, before = threading.Event(), self._seconds
+        late, previous_seconds = threading.Event(), self._seconds
         try:
             with _deadline(running, limits.READER_WALL_SECONDS + 4 * seconds, late):
                 running.greeted()
@@ -209,7 +209,7 @@ class Reader:
             if status == _OVERDUE and left <= seconds:
                 cpu_budget.charge(math.inf)  # the budget ended it, not the limit of a request
             failure = _death(running, status, late.is_set(), memory)
-            failure.is_heavy |= self._seconds - before > limits.READER_SECONDS / 2
+            failure.is_heavy |= self._seconds - previous_seconds > limits.READER_SECONDS / 2
             raise failure from None
         except ProtocolError:
             self._end()

@@ -40,29 +40,31 @@ def trust_usd() -> None:
 def environment() -> dict[str, str]:
     """The environment of the child: what it needs, and nothing that names code or files of a project."""
     isolate()
-    found = {name: value for name, value in os.environ.items() if name in _PASSED or name.startswith("NPY_")}
-    return found | _SET
+    variables = {name: value for name, value in os.environ.items() if name in _PASSED or name.startswith("NPY_")}
+    return variables | _SET
 
 
 def paths() -> list[str]:
     """Folders of modules for the child: those of this process without relative ones and the working directory, then that of
     antdsl itself."""
     try:
-        here = os.path.realpath(os.getcwd())
+        working_folder = os.path.realpath(os.getcwd())
     except OSError:
-        here = ""
-    found = [path for path in sys.path if os.path.isabs(path) and (os.path.realpath(path) != here or _is_installation(path))]
-    return found if INSTALLATION in found else [*found, INSTALLATION]
+        working_folder = ""
+    folders = [
+        path for path in sys.path if os.path.isabs(path) and (os.path.realpath(path) != working_folder or _is_installation(path))
+    ]
+    return folders if INSTALLATION in folders else [*folders, INSTALLATION]
 
 
 def installation() -> list[str]:
     """Folders and files that the child may read: Python, installed packages and the system's libraries."""
-    found = {sys.prefix, sys.base_prefix, sys.exec_prefix, str(_package()), *_SYSTEM}
+    readable_paths = {sys.prefix, sys.base_prefix, sys.exec_prefix, str(_package()), *_SYSTEM}
     if sys.prefix == "/usr" or sys.base_prefix == "/usr":
-        found -= {"/usr"}
-    found |= {path for path in paths() if _is_installation(path)}
-    found |= {path for name in ("stdlib", "platstdlib") if (path := sysconfig.get_path(name))}
-    return sorted(path for path in found if os.path.exists(path))
+        readable_paths -= {"/usr"}
+    readable_paths |= {path for path in paths() if _is_installation(path)}
+    readable_paths |= {path for name in ("stdlib", "platstdlib") if (path := sysconfig.get_path(name))}
+    return sorted(path for path in readable_paths if os.path.exists(path))
 
 
 def _package() -> Path:
@@ -72,9 +74,9 @@ def _package() -> Path:
 
 def _is_installation(path: str) -> bool:
     """Whether a folder of modules is Python's own, or packages are installed in it."""
-    whole = os.path.realpath(path)
+    real_path = os.path.realpath(path)
     roots = [sys.prefix, sys.base_prefix, *_site_packages()]
-    if any(whole == root or whole.startswith(root + os.sep) for root in map(os.path.realpath, roots) if root != os.sep):
+    if any(real_path == root or real_path.startswith(root + os.sep) for root in map(os.path.realpath, roots) if root != os.sep):
         return True
     return os.path.isfile(path) or any(os.path.isdir(os.path.join(path, name)) for name in ("numpy", "pxr"))
 

@@ -52,5 +52,5 @@ def _require_all_parts(image: Any) -> None:
 
 
 def _texts(info: Mapping[Any, Any]) -> dict[str, str]:
-    found = [(name, text) for name, text in info.items() if isinstance(name, str) and isinstance(text, str)]
-    return {name[:_CHARACTERS]: text[:_CHARACTERS] for name, text in found[:_TEXTS]}
+    entries = [(name, text) for name, text in info.items() if isinstance(name, str) and isinstance(text, str)]
+    return {name[:_CHARACTERS]: text[:_CHARACTERS] for name, text in entries[:_TEXTS]}

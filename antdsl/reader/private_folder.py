@@ -29,9 +29,9 @@ class PrivateFolder:
     def new(self) -> Path:
         """An empty folder in it."""
         self._count += 1
-        made = self.path / str(self._count)
-        made.mkdir(mode=0o700)
-        return made
+        folder = self.path / str(self._count)
+        folder.mkdir(mode=0o700)
+        return folder
 
     def remove(self) -> None:
         """Remove it with all that is in it; nothing in a process that was forked from its owner."""

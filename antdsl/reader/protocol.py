@@ -57,10 +57,10 @@ class Message:
 
     def indices(self, name: str, dtype: str, count: int, *shape: int | None, lowest: int = 0) -> NDArray[Any]:
         """Like `array`, with every number at least `lowest` and below `count`."""
-        found = self.array(name, dtype, *shape)
-        if found.size and (found.min() < lowest or found.max() >= count):
+        array = self.array(name, dtype, *shape)
+        if array.size and (array.min() < lowest or array.max() >= count):
             raise ProtocolError(f"`{name}` has an index that is out of range")
-        return found
+        return array
 
     def number(self, name: str) -> float:
         """A finite number of the document."""
@@ -154,16 +154,16 @@ def _entry(entry: object) -> tuple[str, str, tuple[int, ...], int]:
 
 def _read(file: IO[bytes], size: int) -> NDArray[np.uint8]:
     """Read exactly `size` bytes. Memory grows with the bytes that arrive, not with the announced size."""
-    found = np.empty(min(size, _BLOCK), np.uint8)
+    buffer = np.empty(min(size, _BLOCK), np.uint8)
     filled = 0
     while filled < size:
-        if filled == len(found):
-            found = np.concatenate([found, np.empty(min(size - filled, len(found)), np.uint8)])
-        count = file.readinto(found[filled:].data)  # type: ignore[attr-defined]
+        if filled == len(buffer):
+            buffer = np.concatenate([buffer, np.empty(min(size - filled, len(buffer)), np.uint8)])
+        count = file.readinto(buffer[filled:].data)  # type: ignore[attr-defined]
         if not count:
             raise EndOfMessages("a message ends early")
         filled += count
-    return found
+    return buffer
 
 
 def _refuse_constant(word: str) -> NoReturn:
@@ -175,9 +175,9 @@ class Refusal(Exception):
     instead, `key` the key of the scene concerned. `about`: the subject of the message, "" for the whole file, or a word on which
     the requester and the function agree."""
 
-    def __init__(self, code: str, message: str, help: str | None = None, key: str = "", about: str = "") -> None:
+    def __init__(self, code: str, message: str, help: str | None = None, key: str = "", subject: str = "") -> None:
         super().__init__(message)
-        self.code, self.help, self.key, self.about = code, help, key, about
+        self.code, self.help, self.key, self.about = code, help, key, subject
 
     def as_document(self) -> dict[str, Any]:
         """As it goes through the pipe."""
@@ -195,12 +195,13 @@ class Refusal(Exception):
         if texts["code"] not in codes:
             return None
         return cls(
-            str(texts["code"]), shown(str(texts["message"])), None if help is None else shown(help), str(texts["key"])[:80],
+            str(texts["code"]), display_text(str(texts["message"])), None if help is None else display_text(help),
+            str(texts["key"])[:80],
             str(texts["about"])[:80],
         )  # fmt: skip
 
 
-def shown(text: str) -> str:
+def display_text(text: str) -> str:
     """Return a text of the process in a form for messages: printable and not too long."""
     line = printable(text[: _CHARACTERS + 1])
     return line if len(line) <= _CHARACTERS else line[: _CHARACTERS - 1] + "…"

@@ -50,8 +50,8 @@ def limit_request(seconds: int, memory: int) -> None:
     _lower("RLIMIT_AS", memory)
 
 
-def allow_memory(more: int) -> None:
-    """Allow `more` bytes of address space for this request, for work counted in advance. No effect in a process without a
+def allow_memory(extra_bytes: int) -> None:
+    """Allow `extra_bytes` bytes of address space for this request, for work counted in advance. No effect in a process without a
     limit."""
     try:
         import resource
@@ -59,7 +59,7 @@ def allow_memory(more: int) -> None:
         return
     soft, hard = resource.getrlimit(resource.RLIMIT_AS)
     if soft != resource.RLIM_INFINITY:
-        most = soft + max(more, 0)
+        most = soft + max(extra_bytes, 0)
         resource.setrlimit(resource.RLIMIT_AS, (most if hard == resource.RLIM_INFINITY else min(most, hard), hard))
 
 

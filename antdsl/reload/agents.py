@@ -13,7 +13,7 @@ from antdsl.numerics.vector_rows import length
 from antdsl.plan import ir
 from antdsl.plan.registers import pair_values
 from antdsl.plan.traverse import needed
-from antdsl.reload.footing import TOLD, stand, turn
+from antdsl.reload.footing import MIN_DISTANCE, stand, turn
 from antdsl.runtime.binding.bind_world import run_value
 from antdsl.runtime.binding.placing import give_at_birth
 from antdsl.runtime.binding.reuse import digest
@@ -34,37 +34,40 @@ class MigratedSpecies:
     species: str
     agents: int = 0
     moved: int = 0
-    begun: dict[tuple[str, str], int] = field(default_factory=dict)  # (removed state, start state) -> agents
+    restarts: dict[tuple[str, str], int] = field(default_factory=dict)  # (removed state, start state) -> agents
     states: list[str] = field(default_factory=list)  # new ones
     lost: list[str] = field(default_factory=list)  # removed states that no agents were in
     new: list[str] = field(default_factory=list)
     other: list[str] = field(default_factory=list)  # of another type now
     rewritten: list[str] = field(default_factory=list)  # set at birth alone, and set otherwise now
-    gone: list[str] = field(default_factory=list)
+    removed_attributes: list[str] = field(default_factory=list)
     forgotten: int = 0  # memories that are no more, or mean something else
 
 
 def migrate_agents(old: World, world: World, name: str, rows: Rows) -> tuple[MigratedSpecies, dict[str, NDArray[Any]]]:
     """Move the agents in some rows of a species into a world that has none of it. Return the result and the registers that they
     keep. `complete` fills the other registers once all species exist."""
-    before, after = old.populations[name], world.populations[name]
+    old_population, new_population = old.populations[name], world.populations[name]
     migrated = MigratedSpecies(name, len(rows))
-    footing, place, moved = stand(old, world, before)
-    add_rows(after, before.ids[rows].copy(), old.frame, place[rows], footing.take(rows))
-    after.born, after.quarantined = before.born[rows].copy(), before.quarantined[rows].copy()
-    after.normal, after.next_id = before.normal[rows].copy(), before.next_id
-    for event in after.events:
-        if event in before.events:
-            after.events[event] = before.events[event][rows].copy()
-    values = {register: before.now[register][rows] for register in _same(old, world, before.plan, after.plan, migrated)}
-    _states(before.plan, after.plan, values, migrated)
-    _clips(before.plan, after.plan, values)
-    _items(old, world, after.plan, values)
-    _pairs(before, world, after.plan, rows, values)
-    _put(after, values)
-    turn(world, after, moved[rows])
-    migrated.moved = int(np.count_nonzero(length(after.position - before.position[rows]) > TOLD))
-    return migrated, values | {register: after.now[register].copy() for register in _ALWAYS}
+    footing, place, moved = stand(old, world, old_population)
+    add_rows(new_population, old_population.ids[rows].copy(), old.frame, place[rows], footing.take(rows))
+    new_population.born, new_population.quarantined = old_population.born[rows].copy(), old_population.quarantined[rows].copy()
+    new_population.normal, new_population.next_id = old_population.normal[rows].copy(), old_population.next_id
+    for event in new_population.events:
+        if event in old_population.events:
+            new_population.events[event] = old_population.events[event][rows].copy()
+    values = {
+        register: old_population.now[register][rows]
+        for register in _same(old, world, old_population.plan, new_population.plan, migrated)
+    }
+    _states(old_population.plan, new_population.plan, values, migrated)
+    _clips(old_population.plan, new_population.plan, values)
+    _items(old, world, new_population.plan, values)
+    _pairs(old_population, world, new_population.plan, rows, values)
+    _put(new_population, values)
+    turn(world, new_population, moved[rows])
+    migrated.moved = int(np.count_nonzero(length(new_population.position - old_population.position[rows]) > MIN_DISTANCE))
+    return migrated, values | {register: new_population.now[register].copy() for register in _ALWAYS}
 
 
 def complete(world: World, name: str, values: dict[str, NDArray[Any]]) -> None:
@@ -93,55 +96,61 @@ def _put(population: Population, values: dict[str, NDArray[Any]]) -> None:
 # --- which registers ---------------------------------------------------------------------------------------------------
 
 
-def _same(old: World, world: World, before: ir.SpeciesPlan, after: ir.SpeciesPlan, migrated: MigratedSpecies) -> list[str]:
+def _same(old: World, world: World, old_plan: ir.SpeciesPlan, new_plan: ir.SpeciesPlan, migrated: MigratedSpecies) -> list[str]:
     """Return the registers with values that continue, by name; findings about the others go into `migrated`."""
-    found = [
+    matching = [
         name
-        for name, register in after.registers.items()
-        if register.role != "temp" and name in before.registers and _means(before.registers[name]) == _means(register)
+        for name, register in new_plan.registers.items()
+        if register.role != "temp" and name in old_plan.registers and _means(old_plan.registers[name]) == _means(register)
     ]
-    lasting = {name for name in found if not name.endswith(".on") or _whole(name.removesuffix(".on"), after, found)}
-    rewritten = _rewritten(old, world, before, after) & lasting
-    for name, register in after.registers.items():
+    lasting = {
+        name for name in matching if not name.endswith(".on") or _is_complete(name.removesuffix(".on"), new_plan, matching)
+    }
+    rewritten = _rewritten(old, world, old_plan, new_plan) & lasting
+    for name, register in new_plan.registers.items():
         if register.role == "attribute" and name not in lasting:
-            known = name in before.registers and before.registers[name].role == "attribute"
+            known = name in old_plan.registers and old_plan.registers[name].role == "attribute"
             _note(migrated.other if known else migrated.new, name)
-    for name, slots in pair_values(after.registers).items():
-        known = slots[0][1] in before.registers
+    for name, slots in pair_values(new_plan.registers).items():
+        known = slots[0][1] in old_plan.registers
         if not known or slots[0][1] not in lasting:
             _note(migrated.other if known else migrated.new, name)
-    gone = pair_values(before.registers).keys() - pair_values(after.registers).keys()
-    migrated.gone += sorted(gone)
-    for name, register in before.registers.items():
-        if register.role == "attribute" and name not in after.registers:
-            _note(migrated.gone, name)
+    removed_names = pair_values(old_plan.registers).keys() - pair_values(new_plan.registers).keys()
+    migrated.removed_attributes += sorted(removed_names)
+    for name, register in old_plan.registers.items():
+        if register.role == "attribute" and name not in new_plan.registers:
+            _note(migrated.removed_attributes, name)
         migrated.forgotten += register.role == "memory" and name not in lasting and not name.endswith(".on")
     for name in sorted(rewritten):
         _note(migrated.rewritten, name)
-    return [name for name in found if name in lasting and name not in rewritten]
+    return [name for name in matching if name in lasting and name not in rewritten]
 
 
 def _means(register: ir.Register) -> tuple[object, ...]:
     return register.kind, register.role, register.of, register.holds
 
 
-def _whole(memory: str, after: ir.SpeciesPlan, found: list[str]) -> bool:
+def _is_complete(memory: str, new_plan: ir.SpeciesPlan, matching: list[str]) -> bool:
     """Return whether the values that a `keep`'s mark stands for continue too: else it has to begin again."""
-    values = [name for name in (memory, *(f"{memory}.{axis}" for axis in "xyz")) if name in after.registers]
-    return all(name in found for name in values)
+    values = [name for name in (memory, *(f"{memory}.{axis}" for axis in "xyz")) if name in new_plan.registers]
+    return all(name in matching for name in values)
 
 
-def _rewritten(old: World, world: World, before: ir.SpeciesPlan, after: ir.SpeciesPlan) -> set[str]:
+def _rewritten(old: World, world: World, old_plan: ir.SpeciesPlan, new_plan: ir.SpeciesPlan) -> set[str]:
     """Return the attributes that are set only at birth, before and now, and have another birth value now. These take the new
     value."""
-    one, other = birth_values(before, params_at_birth(old)), birth_values(after, params_at_birth(world))
-    stored = stored_registers(before) | stored_registers(after) | _ALWAYS
-    attributes = {name for name, register in after.registers.items() if register.role == "attribute"}
-    placed = {name for name in attributes if _given(old.setting, before.name, name) != _given(world.setting, after.name, name)}
+    one, other = birth_values(old_plan, params_at_birth(old)), birth_values(new_plan, params_at_birth(world))
+    stored = stored_registers(old_plan) | stored_registers(new_plan) | _ALWAYS
+    attributes = {name for name, register in new_plan.registers.items() if register.role == "attribute"}
+    placed = {
+        name
+        for name in attributes
+        if _place_digests(old.setting, old_plan.name, name) != _place_digests(world.setting, new_plan.name, name)
+    }
     return {name for name in attributes - stored if one.get(name) != other.get(name) or name in placed}
 
 
-def _given(setting: Setting, species: str, attribute: str) -> list[str]:
+def _place_digests(setting: Setting, species: str, attribute: str) -> list[str]:
     """Return digests of the attribute's values at the start places of the scene, line by line."""
     return [digest(crowd.place.values.get(attribute)) for crowd in setting.crowds if crowd.species == species]
 
@@ -156,10 +165,12 @@ def _note(names: list[str], register: str) -> None:
 # --- what registers point to ---------------------------------------------------------------------------------------------
 
 
-def _states(before: ir.SpeciesPlan, after: ir.SpeciesPlan, values: dict[str, NDArray[Any]], migrated: MigratedSpecies) -> None:
+def _states(
+    old_plan: ir.SpeciesPlan, new_plan: ir.SpeciesPlan, values: dict[str, NDArray[Any]], migrated: MigratedSpecies
+) -> None:
     """Convert numbers of states into the current ones, by name; agents in a removed state start again."""
-    machines = {machine.name: machine for machine in before.machines}
-    for machine in after.machines:
+    machines = {machine.name: machine for machine in old_plan.machines}
+    for machine in new_plan.machines:
         known = machines.get(machine.name)
         if known is None or f"{machine.name}.state" not in values:
             continue
@@ -172,7 +183,7 @@ def _states(before: ir.SpeciesPlan, after: ir.SpeciesPlan, values: dict[str, NDA
         migrated.lost += [f"{machine.name}.{state}" for state in known.states if state not in (*machine.states, *occupied)]
         for index in np.unique(now[lost]):
             key = (f"{machine.name}.{known.states[index]}", f"{machine.name}.{machine.states[machine.start]}")
-            migrated.begun[key] = int(np.count_nonzero(now == index))
+            migrated.restarts[key] = int(np.count_nonzero(now == index))
         values[f"{machine.name}.state"] = state = np.where(lost, machine.start, state).astype(now.dtype)
         for part in ("previous", "next"):
             other = number[values[f"{machine.name}.{part}"]]
@@ -181,24 +192,26 @@ def _states(before: ir.SpeciesPlan, after: ir.SpeciesPlan, values: dict[str, NDA
         values[f"{machine.name}.time_in_state"] = np.where(lost, 0, time).astype(time.dtype)
 
 
-def _clips(before: ir.SpeciesPlan, after: ir.SpeciesPlan, values: dict[str, NDArray[Any]]) -> None:
+def _clips(old_plan: ir.SpeciesPlan, new_plan: ir.SpeciesPlan, values: dict[str, NDArray[Any]]) -> None:
     """Renumber clips to their current numbers; a clip that is no longer played becomes none."""
-    number = np.array([after.clips.index(clip) if clip in after.clips else -1 for clip in before.clips] + [-1])
-    for machine in after.machines:
+    number = np.array([new_plan.clips.index(clip) if clip in new_plan.clips else -1 for clip in old_plan.clips] + [-1])
+    for machine in new_plan.machines:
         for register in (f"{machine.name}.{part}" for part in ("clip", "clip_before", "clip_earlier")):
             if register in values:
                 values[register] = number[values[register]].astype(values[register].dtype)
 
 
-def _pairs(before: Population, world: World, after: ir.SpeciesPlan, rows: Rows, values: dict[str, NDArray[Any]]) -> None:
+def _pairs(
+    old_population: Population, world: World, new_plan: ir.SpeciesPlan, rows: Rows, values: dict[str, NDArray[Any]]
+) -> None:
     """Reduce values per pair if fewer are stored now: of each agent the strongest remain. Those are farthest from the value that
     they begin with and return to in the edited program, the lesser id first."""
-    old = pair_values(before.plan.registers)
-    for name, slots in pair_values(after.registers).items():
+    old = pair_values(old_population.plan.registers)
+    for name, slots in pair_values(new_plan.registers).items():
         if len(slots) >= len(old.get(name, ())) or slots[0][0] not in values:
             continue
-        who, value = (np.stack([before.now[each[part]][rows] for each in old[name]], axis=1) for part in (0, 1))
-        rest = np.float32(run_value(world, after.rests[name]))
+        who, value = (np.stack([old_population.now[each[part]][rows] for each in old[name]], axis=1) for part in (0, 1))
+        rest = np.float32(run_value(world, new_plan.rests[name]))
         strength = np.where(who < 0, np.float32(-1), np.abs(value - rest))
         order = np.lexsort((who, -strength), axis=1)[:, : len(slots)]
         for k, names in enumerate(slots):
@@ -206,14 +219,14 @@ def _pairs(before: Population, world: World, after: ir.SpeciesPlan, rows: Rows, 
                 values[register] = np.take_along_axis(array, order, axis=1)[:, k].copy()
 
 
-def _renumbered(before: ir.MachinePlan, after: ir.MachinePlan) -> NDArray[np.int64]:
-    numbers = {state: k for k, state in enumerate(after.states)}
-    return np.array([numbers.get(state, -1) for state in before.states], np.int64)
+def _renumbered(old_machine: ir.MachinePlan, new_machine: ir.MachinePlan) -> NDArray[np.int64]:
+    numbers = {state: k for k, state in enumerate(new_machine.states)}
+    return np.array([numbers.get(state, -1) for state in old_machine.states], np.int64)
 
 
-def _items(old: World, world: World, after: ir.SpeciesPlan, values: dict[str, NDArray[Any]]) -> None:
+def _items(old: World, world: World, new_plan: ir.SpeciesPlan, values: dict[str, NDArray[Any]]) -> None:
     """Renumber items in registers by the items' names; removed items become none."""
-    for name, register in after.registers.items():
+    for name, register in new_plan.registers.items():
         if name in values and register.holds and register.holds[0] == "item":
             of = str(register.holds[-1])
             rows = {item: k for k, item in enumerate(world.items[of].names)}
@@ -224,34 +237,36 @@ def _items(old: World, world: World, after: ir.SpeciesPlan, values: dict[str, ND
 def birth_values(plan: ir.SpeciesPlan, params: Mapping[str, float]) -> dict[str, int]:
     """Return a hash of each register's value at birth, by register: of the operations, through other registers that they read,
     and of the params they use."""
-    found: dict[str, int] = {}
-    _block(plan.born, (), found, params)
-    return found
+    hashes: dict[str, int] = {}
+    _block(plan.born, (), hashes, params)
+    return hashes
 
 
 def params_at_birth(world: World) -> dict[str, float]:
     """Return the params as the scene and the program set them, without later changes."""
-    given = world.setting.params
-    return {name: given[name] if name in given else run_value(world, p.default) for name, p in world.plan.params.items()}
+    scene_params = world.setting.params
+    return {
+        name: scene_params[name] if name in scene_params else run_value(world, p.default) for name, p in world.plan.params.items()
+    }
 
 
-def _block(block: ir.Block, where: tuple[int, ...], found: dict[str, int], params: Mapping[str, float]) -> None:
+def _block(block: ir.Block, where: tuple[int, ...], hashes: dict[str, int], params: Mapping[str, float]) -> None:
     for statement in block.statements:
         if isinstance(statement, ir.If):
-            _block(statement.then, (*where, _value(statement.condition, found, params)), found, params)
+            _block(statement.then, (*where, _value(statement.condition, hashes, params)), hashes, params)
         elif isinstance(statement, ir.Store):
-            value = _value(statement.value, found, params)
-            before = found.get(statement.register, 0) if where else 0
-            found[statement.register] = hash((where, before, value))
+            value = _value(statement.value, hashes, params)
+            previous_hash = hashes.get(statement.register, 0) if where else 0
+            hashes[statement.register] = hash((where, previous_hash, value))
 
 
-def _value(node: ir.Node, found: Mapping[str, int], params: Mapping[str, float]) -> int:
-    made: dict[ir.Node, int] = {}
+def _value(node: ir.Node, hashes: Mapping[str, int], params: Mapping[str, float]) -> int:
+    node_hashes: dict[ir.Node, int] = {}
     for each in needed([node]):
         attrs: tuple[object, ...] = each.attrs
         if each.op in _PLACE:
-            attrs = (each.attrs[0], found.get(each.attrs[0], 0))
+            attrs = (each.attrs[0], hashes.get(each.attrs[0], 0))
         elif each.op == "param":
             attrs = (each.attrs[0], params.get(each.attrs[0]))
-        made[each] = hash((each.op, each.kind.value, repr(attrs), *(made[a] for a in each.args)))
-    return made[node]
+        node_hashes[each] = hash((each.op, each.kind.value, repr(attrs), *(node_hashes[a] for a in each.args)))
+    return node_hashes[node]

@@ -12,7 +12,7 @@ from antdsl.runtime.binding.reuse import digest
 from antdsl.runtime.world import AXES, Population, World
 
 _HAIR = 1e-6  # mm: who is put so near to where it was stays there to the last bit
-TOLD = 0.05  # mm: less is the rounding of the nearest place, and not worth a word
+MIN_DISTANCE = 0.05  # mm: less is the rounding of the nearest place, and not worth a word
 
 
 def same_solid(old: World, world: World, name: str) -> bool:
@@ -21,15 +21,15 @@ def same_solid(old: World, world: World, name: str) -> bool:
     return one is not None and other is not None and digest(one) == digest(other)
 
 
-def stand(old: World, world: World, before: Population) -> tuple[Footing, NDArray[np.float64], NDArray[np.bool_]]:
+def stand(old: World, world: World, old_population: Population) -> tuple[Footing, NDArray[np.float64], NDArray[np.bool_]]:
     """Return footings in `world` for all agents of a population of `old`, their positions (n, 3), and which agents moved.
 
     A mesh of which only the vertices moved carries agents along. Agents on other faces, or on a solid that is another now, move
     to the nearest position of all ground."""
-    footing = _footing(old, world, before)
+    footing = _footing(old, world, old_population)
     place = world.ground.position(footing)
-    moved = length(place - before.position) > _HAIR
-    return footing, np.where(moved[:, None], place, before.position), moved
+    moved = length(place - old_population.position) > _HAIR
+    return footing, np.where(moved[:, None], place, old_population.position), moved
 
 
 def turn(world: World, population: Population, moved: NDArray[np.bool_]) -> None:
@@ -47,17 +47,17 @@ def turn(world: World, population: Population, moved: NDArray[np.bool_]) -> None
             population.now[f"{name}.{axis}"][rows] = value[rows, k]
 
 
-def _footing(old: World, world: World, before: Population) -> Footing:
-    ground, place = world.ground, before.position
+def _footing(old: World, world: World, old_population: Population) -> Footing:
+    ground, place = world.ground, old_population.position
     if isinstance(ground, Plane):
-        return before.footing if isinstance(old.ground, Plane) else ground.place(place, world.up)[0]
+        return old_population.footing if isinstance(old.ground, Plane) else ground.place(place, world.up)[0]
     if isinstance(old.ground, Plane):
         return ground.nearest(place)[0]
     number = _numbers(old, world)
-    was = before.footing.mesh
+    was = old_population.footing.mesh
     mesh = np.where(was >= 0, number.take(np.maximum(was, 0)), -1).astype(np.int32)
     footing = ground.nowhere(len(mesh))
-    footing.put(np.arange(len(mesh)), before.footing)
+    footing.put(np.arange(len(mesh)), old_population.footing)
     footing.mesh[:] = mesh
     lost = np.flatnonzero(mesh < 0)
     if len(lost):
@@ -68,11 +68,11 @@ def _footing(old: World, world: World, before: Population) -> Footing:
 def _numbers(old: World, world: World) -> NDArray[np.int32]:
     """For the number of each surface and solid of the old ground the number it has now; -1 where it is not the same."""
     numbers = {name: k for k, name in enumerate(world.ground.names)}
-    found = np.full(max(1, len(old.ground.names)), -1, np.int32)
+    mapping = np.full(max(1, len(old.ground.names)), -1, np.int32)
     for k, name in enumerate(old.ground.names):
         if name in numbers and (_same_faces(old, world, name) or same_solid(old, world, name)):
-            found[k] = numbers[name]
-    return found
+            mapping[k] = numbers[name]
+    return mapping
 
 
 def _same_faces(old: World, world: World, name: str) -> bool:

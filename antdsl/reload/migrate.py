@@ -85,14 +85,14 @@ def _agents(old: World, world: World, migration: Migration) -> list[tuple[CrowdD
         if name not in world.populations and len(old.populations[name]):
             migration.removed[name] = len(old.populations[name])
     for name, population in world.populations.items():
-        before = _lines(old.setting, name) if name in old.populations else []
+        old_lines = _lines(old.setting, name) if name in old.populations else []
         for number, crowd in enumerate(_lines(world.setting, name)):
-            more = crowd.count - (before[number].count if number < len(before) else 0)
-            if more > 0:
-                ids = np.arange(population.next_id, population.next_id + more)
-                population.next_id += more
+            joining_count = crowd.count - (old_lines[number].count if number < len(old_lines) else 0)
+            if joining_count > 0:
+                ids = np.arange(population.next_id, population.next_id + joining_count)
+                population.next_id += joining_count
                 joining.append((crowd, ids))
-                migration.joined[name] = migration.joined.get(name, 0) + more
+                migration.joined[name] = migration.joined.get(name, 0) + joining_count
     return joining
 
 
@@ -104,10 +104,10 @@ def _staying(old: World, setting: Setting, name: str, migration: Migration) -> N
     """Return the rows of a species that stay. Where a line of the scene has fewer agents now, the latest ones are removed."""
     population = old.populations[name]
     stays = np.ones(len(population), np.bool_)
-    after = _lines(setting, name)
+    new_lines = _lines(setting, name)
     for number, crowd in enumerate(_lines(old.setting, name)):
         rows = np.flatnonzero(population.now["group"] == crowd.group)
-        fewer = crowd.count - after[number].count if number < len(after) else len(rows)
+        fewer = crowd.count - new_lines[number].count if number < len(new_lines) else len(rows)
         if fewer > 0:
             rows = rows[np.argsort(population.ids[rows])]
             stays[rows[max(0, len(rows) - fewer) :]] = False
@@ -116,11 +116,11 @@ def _staying(old: World, setting: Setting, name: str, migration: Migration) -> N
     return np.flatnonzero(stays)
 
 
-def _regroup(before: Setting, world: World, name: str, values: dict[str, NDArray[np.generic]]) -> None:
+def _regroup(old_setting: Setting, world: World, name: str, values: dict[str, NDArray[np.generic]]) -> None:
     """Update the number of each agent's line in the scene, which may have changed."""
     population = world.populations[name]
     group = population.now["group"].copy()
-    for was, is_now in zip(_lines(before, name), _lines(world.setting, name), strict=False):
+    for was, is_now in zip(_lines(old_setting, name), _lines(world.setting, name), strict=False):
         population.now["group"][group == was.group] = is_now.group
     if population.start["group"] is not population.now["group"]:
         population.start["group"][:] = population.now["group"]
@@ -135,15 +135,15 @@ def _items(old: World, world: World, migration: Migration) -> None:
     for name, items in world.items.items():
         known = old.items.get(name)
         rows = {} if known is None else {item: k for k, item in enumerate(known.names)}
-        before, after = ({i.name: i for i in s.items.get(name, ())} for s in (old.setting, world.setting))
+        old_items, new_items = ({i.name: i for i in s.items.get(name, ())} for s in (old.setting, world.setting))
         for k, item in enumerate(items.names):
             for attribute, amounts in items.amounts.items():
                 same = (
                     known is not None
                     and item in rows
                     and attribute in known.amounts
-                    and before[item].attributes.get(attribute, old.plan.items[name].attributes[attribute])
-                    == after[item].attributes.get(attribute, world.plan.items[name].attributes[attribute])
+                    and old_items[item].attributes.get(attribute, old.plan.items[name].attributes[attribute])
+                    == new_items[item].attributes.get(attribute, world.plan.items[name].attributes[attribute])
                 )
                 if same and known is not None:
                     amounts[k] = known.amounts[attribute][rows[item]]
@@ -163,34 +163,34 @@ def _solids(old: World, world: World, migration: Migration) -> None:
 def _fields(old: World, world: World, migration: Migration) -> None:
     """Continue scents with equal cells that do not start with something else now."""
     for name, now in world.fields.items():
-        before = old.fields.get(name)
+        old_field = old.fields.get(name)
         starts = [setting.field_start.get(name) for setting in (old.setting, world.setting)]
-        if before is None or not _same_cells(old, world, name) or digest(starts[0]) != digest(starts[1]):
+        if old_field is None or not _same_cells(old, world, name) or digest(starts[0]) != digest(starts[1]):
             migration.fields.append(name)
             continue
         if now.added:
-            now.grow_again(before.added["keys"], before.added["places"])
-        now.values[:] = np.minimum(before.values, now.limit)
+            now.grow_again(old_field.added["keys"], old_field.added["places"])
+        now.values[:] = np.minimum(old_field.values, now.limit)
 
 
 def _same_cells(old: World, world: World, name: str) -> bool:
     one, other = old.plan.fields[name], world.plan.fields[name]
     if one.surfaces != other.surfaces or old.fields[name].cells.cell != world.fields[name].cells.cell:
         return False
-    before, after = (
+    old_surfaces, new_surfaces = (
         [s.surfaces.get(surface) or s.solids.get(surface) for surface in one.surfaces] for s in (old.setting, world.setting)
     )
-    return old.fields[name].cells is world.fields[name].cells or digest(before) == digest(after)
+    return old.fields[name].cells is world.fields[name].cells or digest(old_surfaces) == digest(new_surfaces)
 
 
 def _flows(old: World, world: World) -> None:
     """Continue flows that are computed over time with their state, where they are equal."""
     for name, flow in world.flows.items():
         state = flow.state()
-        before = old.flows[name].state() if state and name in old.flows else {}
-        same = state.keys() == before.keys() and all(before[key].shape == array.shape for key, array in state.items())
+        old_state = old.flows[name].state() if state and name in old.flows else {}
+        same = state.keys() == old_state.keys() and all(old_state[key].shape == array.shape for key, array in state.items())
         if state and same and digest(old.setting.flows[name]) == digest(world.setting.flows[name]):
-            flow.restore({key: array.copy() for key, array in before.items()})
+            flow.restore({key: array.copy() for key, array in old_state.items()})
 
 
 def _feet(old: World, world: World) -> None:
@@ -200,9 +200,9 @@ def _feet(old: World, world: World) -> None:
     if digest((old.floor.meshes, old.setting.moves)) != digest((world.floor.meshes, world.setting.moves)):
         return
     for name, feet in world.feet.items():
-        before = old.feet.get(name)
-        if before is not None and digest(old.setting.legs[name]) == digest(world.setting.legs[name]):
-            feet.take(before)
+        old_feet = old.feet.get(name)
+        if old_feet is not None and digest(old.setting.legs[name]) == digest(world.setting.legs[name]):
+            feet.take(old_feet)
 
 
 def _counts(old: World, world: World) -> None:
@@ -233,8 +233,9 @@ def migration_line(migration: Migration) -> str:
 
 def _species(migrated: MigratedSpecies, of: str) -> list[str]:
     parts = [
-        f"{count:,} of removed state `{of}{_plain(gone)}` {'starts' if count == 1 else 'start'} again in `{of}{_plain(start)}`"
-        for (gone, start), count in sorted(migrated.begun.items())
+        f"{count:,} of removed state `{of}{_plain(removed_state)}` "
+        f"{'starts' if count == 1 else 'start'} again in `{of}{_plain(start)}`"
+        for (removed_state, start), count in sorted(migrated.restarts.items())
     ]
     parts += _listed([of + _plain(name) for name in migrated.states], "is a new state", "are new states")
     parts += _listed([of + _plain(name) for name in migrated.lost], "is a state no more", "are states no more")
@@ -248,7 +249,7 @@ def _species(migrated: MigratedSpecies, of: str) -> list[str]:
         [of + name for name in migrated.other], "has another type and starts again", "have other types and start again"
     )
     parts += _listed([of + name for name in _written(migrated.rewritten)], "is as written now", "are as written now")
-    parts += _listed([of + name for name in migrated.gone], "is gone", "are gone")
+    parts += _listed([of + name for name in migrated.removed_attributes], "is gone", "are gone")
     if migrated.forgotten:
         parts.append(f"{migrated.forgotten} {'memory' if migrated.forgotten == 1 else 'memories'} forgotten")
     return parts
@@ -272,5 +273,5 @@ def _agent_word(count: int) -> str:
 def _listed(names: list[str], one: str, several: str) -> list[str]:
     if not names:
         return []
-    shown = ", ".join(f"`{name}`" for name in names[:4]) + (f" and {len(names) - 4} more" if len(names) > 4 else "")
-    return [f"{shown} {one if len(names) == 1 else several}"]
+    name_list = ", ".join(f"`{name}`" for name in names[:4]) + (f" and {len(names) - 4} more" if len(names) > 4 else "")
+    return [f"{name_list} {one if len(names) == 1 else several}"]

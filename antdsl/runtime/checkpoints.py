@@ -29,31 +29,31 @@ class CheckpointError(ValueError):
 
 def checkpoint(world: World) -> Arrays:
     """The state between two steps, by name; the arrays are copies."""
-    found: Arrays = {"frame": np.array(world.frame, np.int64), "faults": np.array(world.faults.count, np.int64)}
+    arrays: Arrays = {"frame": np.array(world.frame, np.int64), "faults": np.array(world.faults.count, np.int64)}
     for name, value in world.params.items():
-        found[f"param.{name}"] = np.array(value)
+        arrays[f"param.{name}"] = np.array(value)
     for name, population in world.populations.items():
         for key, array in _arrays(population).items():
-            found[f"species.{name}.{key}"] = array
-        found[f"species.{name}.next_id"] = np.array(population.next_id, np.int64)
+            arrays[f"species.{name}.{key}"] = array
+        arrays[f"species.{name}.next_id"] = np.array(population.next_id, np.int64)
     for name, items in world.items.items():
         for attribute, amounts in items.amounts.items():
-            found[f"items.{name}.{attribute}"] = amounts
+            arrays[f"items.{name}.{attribute}"] = amounts
     for name, field in world.fields.items():
-        found |= {f"field.{name}.{key}": array for key, array in field.added.items()}
-        found[f"field.{name}"] = field.values
+        arrays |= {f"field.{name}.{key}": array for key, array in field.added.items()}
+        arrays[f"field.{name}"] = field.values
     for name, flow in world.flows.items():
-        found |= {f"flow.{name}.{key}": array for key, array in flow.state().items()}
+        arrays |= {f"flow.{name}.{key}": array for key, array in flow.state().items()}
     for name, feet in world.feet.items():
-        found |= {f"feet.{name}.{key}": array for key, array in feet.arrays().items()}
+        arrays |= {f"feet.{name}.{key}": array for key, array in feet.arrays().items()}
     names = sorted(world.transitions)
-    found["transitions.names"] = np.frombuffer("\n".join(names).encode(), np.uint8)
-    found["transitions.counts"] = np.array([world.transitions[name] for name in names], np.int64)
+    arrays["transitions.names"] = np.frombuffer("\n".join(names).encode(), np.uint8)
+    arrays["transitions.counts"] = np.array([world.transitions[name] for name in names], np.int64)
     if world.detail is not None:
-        found["lod.counts"] = world.detail.counts
-    found |= {f"motion.{name}": array for name, array in world.motion.arrays().items()}
-    found |= {f"solid.{name}.{key}": array for name, volume in world.solids.items() for key, array in volume.state().items()}
-    return {name: array.copy() for name, array in found.items()}
+        arrays["lod.counts"] = world.detail.counts
+    arrays |= {f"motion.{name}": array for name, array in world.motion.arrays().items()}
+    arrays |= {f"solid.{name}.{key}": array for name, volume in world.solids.items() for key, array in volume.state().items()}
+    return {name: array.copy() for name, array in arrays.items()}
 
 
 def restore(world: World, arrays: Mapping[str, NDArray[Any]]) -> None:
@@ -85,9 +85,9 @@ def _restore(world: World, arrays: Mapping[str, NDArray[Any]]) -> None:
             field.grow_again(_take(arrays, f"field.{name}.keys"), _take(arrays, f"field.{name}.places"))
         field.values[:] = _take(arrays, f"field.{name}", field.values.shape)
     for name, volume in world.solids.items():
-        kept = {key: _take(arrays, f"solid.{name}.{key}") for key in volume.state()}
+        solid_state = {key: _take(arrays, f"solid.{name}.{key}") for key in volume.state()}
         try:
-            volume.restore(kept)
+            volume.restore(solid_state)
         except ValueError as why:
             raise CheckpointError(f"`solid.{name}`: {why}") from None
     for name, flow in world.flows.items():
@@ -112,27 +112,27 @@ def _restore(world: World, arrays: Mapping[str, NDArray[Any]]) -> None:
 
 def _restore_feet(world: World, arrays: Mapping[str, NDArray[Any]]) -> None:
     """Restore the feet of a checkpoint. A state of a run without feet has none: there, all agents stand afresh."""
-    found = {}
+    restored_feet = {}
     for name, feet in world.feet.items():
         prefix = f"feet.{name}."
-        kept = {key.removeprefix(prefix): array for key, array in arrays.items() if key.startswith(prefix)}
-        if not kept:
+        foot_arrays = {key.removeprefix(prefix): array for key, array in arrays.items() if key.startswith(prefix)}
+        if not foot_arrays:
             walking.begin(world)
             return
         try:
-            found[name] = from_arrays(kept, feet.legs, world.populations[name].sorted_ids()[0])
+            restored_feet[name] = from_arrays(foot_arrays, feet.legs, world.populations[name].sorted_ids()[0])
         except ValueError as why:
             raise CheckpointError(f"`feet.{name}`: {why}") from None
-    world.feet = found
+    world.feet = restored_feet
 
 
 def _arrays(population: Population) -> Arrays:
-    found: Arrays = {"ids": population.ids, "born": population.born, "quarantined": population.quarantined}
-    found |= {"position": population.position, "normal": population.normal}
-    found |= {f"footing.{name}": array for name, array in population.footing.columns.items()}
-    found |= {f"event.{name}": flags for name, flags in population.events.items()}
-    kept = (name for name, register in population.plan.registers.items() if register.role != "temp")
-    return found | {f"register.{name}": population.now[name] for name in kept}
+    arrays: Arrays = {"ids": population.ids, "born": population.born, "quarantined": population.quarantined}
+    arrays |= {"position": population.position, "normal": population.normal}
+    arrays |= {f"footing.{name}": array for name, array in population.footing.columns.items()}
+    arrays |= {f"event.{name}": flags for name, flags in population.events.items()}
+    stored_names = (name for name, register in population.plan.registers.items() if register.role != "temp")
+    return arrays | {f"register.{name}": population.now[name] for name in stored_names}
 
 
 def _footing(population: Population, arrays: Mapping[str, NDArray[Any]]) -> Footing:
@@ -201,8 +201,8 @@ def _rows(population: Population, threads: int) -> bytes:
     """The hash of all that belongs to the state of agents."""
     names, footing, now = population.state_registers(), population.footing.columns, population.now
     events = sorted(population.events)
-    told = (*_ALWAYS, *map("footing.{}".format, footing), *names, *map("event.{}".format, events))
+    column_names = (*_ALWAYS, *map("footing.{}".format, footing), *names, *map("event.{}".format, events))
     columns = [population.born, population.quarantined, population.position, population.normal, *footing.values()]
     columns += [now[name] for name in names]
     columns += [population.events[name] for name in events]
-    return named(told, columns) + population.hashed.of(population.ids, columns, threads)
+    return named(column_names, columns) + population.hashed.of(population.ids, columns, threads)

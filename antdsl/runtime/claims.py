@@ -23,7 +23,7 @@ Entries = list[tuple[Population, ClaimEntry]]
 
 def settle(world: World) -> None:
     """Serve the claims on each amount in the order of (draw, id), while the rest suffices."""
-    asked: dict[tuple[str, str], Entries] = {}
+    item_claims: dict[tuple[str, str], Entries] = {}
     of_fields: dict[str, Entries] = {}
     for population in world.populations.values():
         population.all_taken.clear()
@@ -33,9 +33,9 @@ def settle(world: World) -> None:
             if entry.statement.item is None:
                 of_fields.setdefault(entry.statement.of, []).append((population, entry))
             else:
-                asked.setdefault((entry.statement.of, entry.statement.attribute), []).append((population, entry))
+                item_claims.setdefault((entry.statement.of, entry.statement.attribute), []).append((population, entry))
         population.effects.claims = []
-    for (items, attribute), entries in sorted(asked.items(), key=lambda pair: pair[0]):
+    for (items, attribute), entries in sorted(item_claims.items(), key=lambda pair: pair[0]):
         entries = _by_statement(entries)
         item, amount = _joined([e.item for _, e in entries]), _joined([e.amount for _, e in entries])
         _settle_one(world, world.items[items].amounts[attribute], item, amount, 0.0, entries)
@@ -56,15 +56,15 @@ def _by_statement(entries: Entries) -> Entries:
     """Merge the claims of each statement into one entry, however they were chunked."""
     if len(entries) == 1:
         return entries
-    found: dict[tuple[str, int], Entries] = {}
+    groups: dict[tuple[str, int], Entries] = {}
     for population, entry in entries:
-        found.setdefault((population.name, entry.order), []).append((population, entry))
-    whole: Entries = []
-    for (_, order), some in found.items():
-        rows, item, amount = (_joined([getattr(e, name) for _, e in some]) for name in ("rows", "item", "amount"))
-        population, first = some[0]
-        whole.append((population, ClaimEntry(first.statement, order, rows, item, amount)))
-    return whole
+        groups.setdefault((population.name, entry.order), []).append((population, entry))
+    merged_entries: Entries = []
+    for (_, order), group in groups.items():
+        rows, item, amount = (_joined([getattr(e, name) for _, e in group]) for name in ("rows", "item", "amount"))
+        population, first = group[0]
+        merged_entries.append((population, ClaimEntry(first.statement, order, rows, item, amount)))
+    return merged_entries
 
 
 def _joined(arrays: list[NDArray[Any]]) -> NDArray[Any]:
@@ -107,13 +107,15 @@ def _settled(
 ) -> bool:
     """Serve the claims of one statement with a kernel, in the order of `keys`, if each claims a fixed amount for a register.
     Return whether it did; if not, nothing has changed."""
-    asked = entry.statement
-    if asked.own is None or asked.amount is None:
+    statement = entry.statement
+    if statement.own is None or statement.amount is None:
         return False
     item, claimed, (change, got) = keys[-1].astype(np.int64, copy=False), np.empty(len(row), np.int64), np.empty((2, len(row)))
     now, order = population.now, np.lexsort(keys)
-    done: bool = _settle_in_turn(rest, order, item, row, amount, now[asked.own], now[asked.won], claimed, change, got)
-    return done
+    is_settled: bool = _settle_in_turn(
+        rest, order, item, row, amount, now[statement.own], now[statement.won], claimed, change, got
+    )
+    return is_settled
 
 
 def _serve(
@@ -167,10 +169,10 @@ class _Asks:
         change: NDArray[np.float64],
         everything: NDArray[np.bool_],
         had: NDArray[np.float32],
-        kept: NDArray[np.bool_],
+        has_register: NDArray[np.bool_],
         unit: float,
     ) -> None:
-        self.change, self.everything, self.had, self.kept, self.unit = change, everything, had, kept, unit
+        self.change, self.everything, self.had, self.kept, self.unit = change, everything, had, has_register, unit
 
     def fill(
         self, population: Population, entry: ClaimEntry, at: NDArray[np.intp], rows: NDArray[np.intp], amount: NDArray[np.float32]
@@ -188,10 +190,10 @@ class _Asks:
         """Return what claims for all get of the amount `left`: whole units, and no more than their register can represent."""
         had = self.had[at].astype(np.float64)
         with np.errstate(all="ignore"):
-            whole = np.floor(left / self.unit) * self.unit if self.unit else left
-            then = (had + whole).astype(np.float32)
-            then = np.where(then.astype(np.float64) - had > whole, np.nextafter(then, np.float32(-np.inf)), then)
-            part = np.where(self.kept[at], then.astype(np.float64) - had, whole)
+            rounded_amount = np.floor(left / self.unit) * self.unit if self.unit else left
+            then = (had + rounded_amount).astype(np.float32)
+            then = np.where(then.astype(np.float64) - had > rounded_amount, np.nextafter(then, np.float32(-np.inf)), then)
+            part = np.where(self.kept[at], then.astype(np.float64) - had, rounded_amount)
             return np.where(np.isfinite(part) & (part <= left), part, 0.0)
 
 
@@ -211,9 +213,10 @@ def _turn(species: NDArray[np.int64], ids: NDArray[np.int64], place: NDArray[np.
     return turn
 
 
-def _served(rest: NDArray[np.float64], places: NDArray[np.integer], asks: _Asks) -> NDArray[np.float64]:
-    """Return the amount that each claim gets, -1 if it is not served; `places` are sorted. Subtracts the amounts from `rest`."""
-    item: NDArray[np.int64] = places.astype(np.int64, copy=False)
+def _served(rest: NDArray[np.float64], item_numbers: NDArray[np.integer], asks: _Asks) -> NDArray[np.float64]:
+    """Return the amount that each claim gets, -1 if it is not served; `item_numbers` are sorted. Subtracts the amounts from
+    `rest`."""
+    item: NDArray[np.int64] = item_numbers.astype(np.int64, copy=False)
     got = np.full(len(item), -1.0)
     if not asks.everything.any():
         _serve_in_turn(rest, item, asks.change, got)
@@ -221,10 +224,10 @@ def _served(rest: NDArray[np.float64], places: NDArray[np.integer], asks: _Asks)
     starts = np.flatnonzero(np.concatenate(([True], item[1:] != item[:-1])))
     ends = np.append(starts[1:], len(item))
     every = np.logical_or.reduceat(asks.everything, starts)
-    some = np.flatnonzero(np.repeat(~every, ends - starts))
-    part = np.full(len(some), -1.0)
-    _serve_in_turn(rest, item[some], asks.change[some], part)
-    got[some] = part
+    simple_rows = np.flatnonzero(np.repeat(~every, ends - starts))
+    part = np.full(len(simple_rows), -1.0)
+    _serve_in_turn(rest, item[simple_rows], asks.change[simple_rows], part)
+    got[simple_rows] = part
     alone = starts[every & (ends - starts == 1)]
     part = asks.all_of(alone, rest[item[alone]])
     winners, part = alone[part > 0], part[part > 0]
@@ -255,12 +258,12 @@ def _among(rest: NDArray[np.float64], item: NDArray[np.int64], begin: int, asks:
 def give(world: World) -> None:
     """Add the agents' gifts to the items, the smallest first, so that rounding of the sum does not depend on the agents'
     order."""
-    given: dict[tuple[str, str], list[GiveEntry]] = {}
+    gifts: dict[tuple[str, str], list[GiveEntry]] = {}
     for population in world.populations.values():
         for entry in population.effects.gives:
-            given.setdefault((entry.statement.items, entry.statement.attribute), []).append(entry)
+            gifts.setdefault((entry.statement.items, entry.statement.attribute), []).append(entry)
         population.effects.gives = []
-    for (items, attribute), entries in given.items():
+    for (items, attribute), entries in gifts.items():
         item, amount = (np.concatenate([getattr(entry, name) for entry in entries]) for name in ("item", "amount"))
         order = np.lexsort((amount, item))
         np.add.at(world.items[items].amounts[attribute], item[order], amount[order])

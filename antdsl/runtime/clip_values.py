@@ -24,8 +24,8 @@ def clip_value(world: World, population: Population, what: str, clip: Any) -> ND
     """The same of clips by their numbers in the species' plan; of none as of an unknown one."""
     values = clip_table(world, population, what)
     number, last = np.asarray(clip), len(values) - 1
-    found: NDArray[np.float32] = values[np.where((number >= 0) & (number < last), number, last)]
-    return found
+    chosen_values: NDArray[np.float32] = values[np.where((number >= 0) & (number < last), number, last)]
+    return chosen_values
 
 
 def _of(clip: ClipData, what: str) -> float:

@@ -26,10 +26,10 @@ def contact(world: World, population: Population, of: str, rows: Rows, touched: 
     """Return the id of the deepest agent of a species that each given agent has begun to touch, -1 for none. Also return the ids
     of all agents that it touches from now on. `touched` (n, k): the previous ones, -1 for none; if all k are in use, no new
     contact is noticed."""
-    found = np.full(len(rows), -1, np.int64)
+    contact_ids = np.full(len(rows), -1, np.int64)
     known = _touching(world).get((population.name, of))
     if known is None:
-        return found, np.full_like(touched, -1)
+        return contact_ids, np.full_like(touched, -1)
     first, count = known.starts.take(rows), known.starts.take(rows + 1) - known.starts.take(rows)
     who = np.repeat(np.arange(len(rows)), count)
     pairs = np.arange(len(who)) - np.repeat(np.cumsum(count) - count, count) + np.repeat(first, count)
@@ -42,37 +42,37 @@ def contact(world: World, population: Population, of: str, rows: Rows, touched: 
     free = touched == -1
     new = np.flatnonzero(known.near.take(pairs) & ~same.any(axis=1) & free.any(axis=1).take(who))
     noticing, deepest = np.unique(who.take(new), return_index=True)
-    found[noticing] = ids.take(new.take(deepest))
-    touched[noticing, free[noticing].argmax(axis=1)] = found[noticing]
-    return found, touched
+    contact_ids[noticing] = ids.take(new.take(deepest))
+    touched[noticing, free[noticing].argmax(axis=1)] = contact_ids[noticing]
+    return contact_ids, touched
 
 
 def _touching(world: World) -> Mapping[tuple[str, str], Touching]:
     """Return which agents touched at the start of the step, by both species; computed once in a step."""
     if world.touching is None:
-        world.touching = _found(Crowd(world, start=True))
+        world.touching = _find_touching(Crowd(world, start=True))
     return world.touching
 
 
-def _found(crowd: Crowd) -> dict[tuple[str, str], Touching]:
-    found: dict[tuple[str, str], Touching] = {}
+def _find_touching(crowd: Crowd) -> dict[tuple[str, str], Touching]:
+    contacts: dict[tuple[str, str], Touching] = {}
     if len(crowd) < 2:
-        return found
+        return contacts
     pairs = find(crowd)
     gap = pairs.gap
-    room = pairs.radius.take(pairs.i) + pairs.radius.take(pairs.j)
-    kept = np.flatnonzero(gap < _ENDS * room)
-    i, j = pairs.rows.take(pairs.i.take(kept)), pairs.rows.take(pairs.j.take(kept))
-    one, other, gap = np.concatenate([i, j]), np.concatenate([j, i]), np.tile(gap.take(kept), 2)
-    near = gap < _BEGINS * np.tile(room.take(kept), 2)
+    radius_sum = pairs.radius.take(pairs.i) + pairs.radius.take(pairs.j)
+    close_rows = np.flatnonzero(gap < _ENDS * radius_sum)
+    i, j = pairs.rows.take(pairs.i.take(close_rows)), pairs.rows.take(pairs.j.take(close_rows))
+    one, other, gap = np.concatenate([i, j]), np.concatenate([j, i]), np.tile(gap.take(close_rows), 2)
+    near = gap < _BEGINS * np.tile(radius_sum.take(close_rows), 2)
     kinds: Any = [np.searchsorted(crowd.first, rows, "right") - 1 for rows in (one, other)]
     for a, species in enumerate(crowd.species):
-        for b, met in enumerate(crowd.species):
-            some = np.flatnonzero((kinds[0] == a) & (kinds[1] == b))
-            if not len(some):
+        for b, other_species in enumerate(crowd.species):
+            subset = np.flatnonzero((kinds[0] == a) & (kinds[1] == b))
+            if not len(subset):
                 continue
-            row, ids = one.take(some) - crowd.first[a], met.ids.take(other.take(some) - crowd.first[b])
-            order = np.lexsort((ids, gap.take(some), row))
+            row, ids = one.take(subset) - crowd.first[a], other_species.ids.take(other.take(subset) - crowd.first[b])
+            order = np.lexsort((ids, gap.take(subset), row))
             starts = np.searchsorted(row.take(order), np.arange(len(species) + 1))
-            found[species.name, met.name] = Touching(starts, ids.take(order), near.take(some).take(order))
-    return found
+            contacts[species.name, other_species.name] = Touching(starts, ids.take(order), near.take(subset).take(order))
+    return contacts

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from antdsl.fields.growing import GrowingCells
 from antdsl.fields.pheromone import PheromoneField
 from antdsl.ground.solid import Volume
-from antdsl.runtime.requests import Asked
+from antdsl.runtime.requests import RequestEntry
 from antdsl.runtime.world import Population, World
 
 Floats = NDArray[np.float64]
@@ -23,16 +23,16 @@ _FINEST = 16  # points along an edge of the cube that is projected onto a ball
 
 def dig(world: World) -> None:
     """Carve the requested balls, and give each agent what it dug out. Agents that lose their ground come down as they move."""
-    asked: dict[str, list[tuple[Population, Asked]]] = {}
+    requests: dict[str, list[tuple[Population, RequestEntry]]] = {}
     for population in world.populations.values():
         for entry in population.effects.drained("carve"):
             if len(entry.rows):
-                asked.setdefault(entry.request.of, []).append((population, entry))
-    for name, entries in sorted(asked.items()):
+                requests.setdefault(entry.request.of, []).append((population, entry))
+    for name, entries in sorted(requests.items()):
         _carve(world, name, entries)
 
 
-def _carve(world: World, solid: str, entries: list[tuple[Population, Asked]]) -> None:
+def _carve(world: World, solid: str, entries: list[tuple[Population, RequestEntry]]) -> None:
     """Carve one solid. Digging agents are identified by (species, id, place in the text), independent of their row."""
     names = list(world.populations)
     species = np.concatenate([np.full(len(e.rows), names.index(p.name)) for p, e in entries])
@@ -56,7 +56,7 @@ def _carve(world: World, solid: str, entries: list[tuple[Population, Asked]]) ->
         first += len(entry.rows)
 
 
-def _give(population: Population, entry: Asked, removed: NDArray[np.float64]) -> None:
+def _give(population: Population, entry: RequestEntry, removed: NDArray[np.float64]) -> None:
     """Add the dug volume to the agents' own register."""
     if entry.request.own is not None:
         register = population.now[entry.request.own]
@@ -65,8 +65,8 @@ def _give(population: Population, entry: Asked, removed: NDArray[np.float64]) ->
 
 def dug_since(world: World) -> dict[str, NDArray[np.float64]]:
     """Return the balls float64[k, 4] (centre and radius) dug since the last call, by solid. A solid without any has no entry."""
-    found, world.carved = world.carved or {}, None if world.carved is None else {}
-    return {name: np.concatenate(balls) for name, balls in found.items() if sum(map(len, balls))}
+    balls_by_solid, world.carved = world.carved or {}, None if world.carved is None else {}
+    return {name: np.concatenate(balls) for name, balls in balls_by_solid.items() if sum(map(len, balls))}
 
 
 def grow(fields: Iterable[PheromoneField], volume: Volume, middle: Floats, radius: Floats) -> None:
@@ -86,16 +86,16 @@ def grow(fields: Iterable[PheromoneField], volume: Volume, middle: Floats, radiu
                 field.grow(new)
 
 
-def walls(volume: Volume, middle: Floats, radius: Floats, apart: float) -> tuple[Floats, Floats]:
-    """Return points [n,3], about half of `apart` from each other, on the surface that balls left, and unit normals towards the
+def walls(volume: Volume, middle: Floats, radius: Floats, spacing: float) -> tuple[Floats, Floats]:
+    """Return points [n,3], about half of `spacing` from each other, on the surface that balls left, and unit normals towards the
     air."""
     found = [(np.empty((0, 3)), np.empty((0, 3)))]
-    lines = np.minimum(np.ceil(4 * radius / apart).astype(np.int64), _FINEST)
+    lines = np.minimum(np.ceil(4 * radius / spacing).astype(np.int64), _FINEST)
     for number in np.unique(lines):
-        rows, ways = np.flatnonzero(lines == number), _ways(max(int(number), 1))
-        points = (middle[rows, None, :] + radius[rows, None, None] * ways).reshape(-1, 3)
+        rows, directions = np.flatnonzero(lines == number), _ways(max(int(number), 1))
+        points = (middle[rows, None, :] + radius[rows, None, None] * directions).reshape(-1, 3)
         near = np.flatnonzero(np.abs(volume.sample(points)) < _NEAR * volume.voxel)
-        found.append((points[near], -np.broadcast_to(ways, (len(rows), *ways.shape)).reshape(-1, 3)[near]))
+        found.append((points[near], -np.broadcast_to(directions, (len(rows), *directions.shape)).reshape(-1, 3)[near]))
     points, normals = (np.concatenate(parts) for parts in zip(*found, strict=True))
     return points, normals
 

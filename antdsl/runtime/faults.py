@@ -34,20 +34,20 @@ class Fault:
     why: str = "is not finite"
 
     def __str__(self) -> str:
-        return self._told("" if self.span is None else f"{self.span}: ")
+        return self._describe("" if self.span is None else f"{self.span}: ")
 
     @property
     def brief(self) -> str:
         """Return the same text with only the name of the file, for readers that do not need its location on this machine."""
         if self.span is None:
-            return self._told("")
+            return self._describe("")
         line, column = self.span.source.line_column(self.span.start)
-        return self._told(f"{PurePath(self.span.source.path).name}:{line}:{column}: ")
+        return self._describe(f"{PurePath(self.span.source.path).name}:{line}:{column}: ")
 
-    def _told(self, place: str) -> str:
+    def _describe(self, place: str) -> str:
         values = ", ".join(f"{text} = {value}" for text, value in self.operands)
-        whose = self.species if self.agent < 0 else f"{self.species} {self.agent}"
-        return f"{place}{whose} at frame {self.frame}: `{self.what}` {self.why}" + (f" ({values})" if values else "")
+        subject = self.species if self.agent < 0 else f"{self.species} {self.agent}"
+        return f"{place}{subject} at frame {self.frame}: `{self.what}` {self.why}" + (f" ({values})" if values else "")
 
 
 @dataclass(slots=True)
@@ -78,12 +78,12 @@ def gather(world: World) -> None:
     for population in world.populations.values():
         if not population.effects.faults:
             continue
-        met: dict[tuple[int, str, str], list[FaultEntry]] = {}
+        groups: dict[tuple[int, str, str], list[FaultEntry]] = {}
         for entry in population.effects.faults:
             place = -1 if entry.span is None else entry.span.start
-            met.setdefault((place, entry.block, _word(entry.register)), []).append(entry)
+            groups.setdefault((place, entry.block, _word(entry.register)), []).append(entry)
         population.effects.faults = []
-        for (_, _, word), entries in sorted(met.items(), key=lambda pair: pair[0]):
+        for (_, _, word), entries in sorted(groups.items(), key=lambda pair: pair[0]):
             rows = np.unique(np.concatenate([entry.rows for entry in entries]))  # a vector has three parts and one fault
             rows = rows[np.argsort(population.ids[rows])]
             log.count += len(rows)
@@ -105,4 +105,4 @@ def _word(register: str) -> str:
 
 def _tell(world: World, population: Population, row: int, entry: FaultEntry, word: str) -> Fault:
     operands = operands_of(world, population, row, entry.block, entry.register, entry.span)
-    return Fault(world.shown, population.name, int(population.ids[row]), word, entry.span, operands)
+    return Fault(world.display_frame, population.name, int(population.ids[row]), word, entry.span, operands)

@@ -18,7 +18,7 @@ from antdsl.runtime.world import AXES, Items
 
 Floats = NDArray[np.float32]
 Columns = tuple[NDArray[Any], ...]  # row, item, x, y, z, distance
-Found = tuple[Array1[I64], Array1[I64], Array1[F32], Array1[F32], Array1[F32], Array1[F32]]
+PairColumns = tuple[Array1[I64], Array1[I64], Array1[F32], Array1[F32], Array1[F32], Array1[F32]]
 
 _MEASURED = 1 << 16  # pairs of an agent and an item at once
 _MANY_ITEMS = 128  # above it those that are too far off along an axis are not measured
@@ -34,45 +34,45 @@ def items_within(items: Items, own: tuple[Floats, ...], radius: Any) -> Columns:
 
 
 def _seen_at(items: Items) -> Vector:
-    x, y, z = (np.asarray(items.seen[axis], np.float32) for axis in AXES)
+    x, y, z = (np.asarray(items.visible_values[axis], np.float32) for axis in AXES)
     return x, y, z
 
 
 def each(items: Items, own: tuple[Floats, ...], reach: Floats) -> Columns:
     """All items measured from all rows."""
-    there, places, (reach,) = plain(*_seen_at(items)), plain(*own), plain(reach)
+    item_points, agent_points, (reach,) = plain(*_seen_at(items)), plain(*own), plain(reach)
     pairs = tuple(np.empty(max(2 * reach.size, 64), kind) for kind in (np.int64, np.int64, *(np.float32,) * 4))
-    row, used = _fill(there, places, reach, pairs, 0, 0)
+    row, used = _fill(item_points, agent_points, reach, pairs, 0, 0)
     while row < reach.size:
         pairs = tuple(np.concatenate([a, np.empty(a.size + len(items), a.dtype)]) for a in pairs)
-        row, used = _fill(there, places, reach, pairs, row, used)
+        row, used = _fill(item_points, agent_points, reach, pairs, row, used)
     return tuple(a[:used] for a in pairs)
 
 
 def along(items: Items, own: tuple[Floats, ...], reach: Floats) -> Columns:
     """Return the pairs of rows and items that are in reach along the two axes with the widest spread of items."""
-    n, there = len(own[0]), _seen_at(items)
+    n, item_points = len(own[0]), _seen_at(items)
     with np.errstate(invalid="ignore"):
-        one, two = sorted(range(3), key=lambda k: -float(np.nan_to_num(np.ptp(there[k]))))[:2]
-        order = np.argsort(there[one], kind="stable")
+        one, two = sorted(range(3), key=lambda k: -float(np.nan_to_num(np.ptp(item_points[k]))))[:2]
+        order = np.argsort(item_points[one], kind="stable")
         far = reach.astype(np.float64) * _WIDER + _TINY
         far[~np.isfinite(far)] = np.inf
         place = np.where(far < np.inf, own[one], np.float32(0)).astype(np.float64)
-        first_axis, second_axis = (there[axis].astype(np.float64)[order] for axis in (one, two))
+        first_axis, second_axis = (item_points[axis].astype(np.float64)[order] for axis in (one, two))
         first, last = first_axis.searchsorted(place - far, "left"), first_axis.searchsorted(place + far, "right")
     count = np.maximum(last - first, 0)
     ends = np.cumsum(count)
     parts: list[Columns] = []
     a = 0
     while a < n:
-        before = int(ends[a - 1]) if a else 0
-        b = max(a + 1, int(ends.searchsorted(before + _MEASURED, "right")))
-        some = count[a:b]
-        at = np.arange(int(some.sum())) + np.repeat(first[a:b] - (np.cumsum(some) - some), some)
-        apart = second_axis.take(at) - np.repeat(own[two][a:b].astype(np.float64), some)
-        near = np.flatnonzero(~(np.abs(apart) > np.repeat(far[a:b], some)))
-        i, j = np.repeat(np.arange(a, b), some).take(near), order.take(at.take(near))
-        dx, dy, dz = (t.take(j) - place.take(i) for t, place in zip(there, own, strict=True))
+        previous_end = int(ends[a - 1]) if a else 0
+        b = max(a + 1, int(ends.searchsorted(previous_end + _MEASURED, "right")))
+        counts = count[a:b]
+        at = np.arange(int(counts.sum())) + np.repeat(first[a:b] - (np.cumsum(counts) - counts), counts)
+        offsets = second_axis.take(at) - np.repeat(own[two][a:b].astype(np.float64), counts)
+        near = np.flatnonzero(~(np.abs(offsets) > np.repeat(far[a:b], counts)))
+        i, j = np.repeat(np.arange(a, b), counts).take(near), order.take(at.take(near))
+        dx, dy, dz = (t.take(j) - place.take(i) for t, place in zip(item_points, own, strict=True))
         distance = np.sqrt((dx * dx + dy * dy) + dz * dz)
         keep = np.flatnonzero(distance <= reach.take(i))
         keep = keep[np.lexsort((j[keep], i[keep]))]
@@ -90,11 +90,13 @@ def _joined(parts: list[Columns]) -> Columns:
 
 
 @kernel
-def _fill(items: VectorColumns, places: VectorColumns, reach: Array1[F32], pairs: Found, row: I64, used: I64) -> tuple[I64, I64]:
+def _fill(
+    items: VectorColumns, agent_points: VectorColumns, reach: Array1[F32], pairs: PairColumns, row: I64, used: I64
+) -> tuple[I64, I64]:
     """Continue with a row, after `used` pairs from earlier rows, until the arrays are full. Returns the next row and the number
     of pairs."""
     ix, iy, iz = items
-    x, y, z = places
+    x, y, z = agent_points
     i, j, dx, dy, dz, distance = pairs
     while row < x.size:
         if used + ix.size > i.size:

@@ -17,7 +17,7 @@ from antdsl.plan.traverse import needed, operands, placed
 from antdsl.runtime.claims import give
 from antdsl.runtime.digging import dig
 from antdsl.runtime.moving.moving_geometry import rest_places
-from antdsl.runtime.requests import Asked
+from antdsl.runtime.requests import RequestEntry
 from antdsl.runtime.world import AXES, Emitted, Population, World, add_rows, select_rows, shares_start, stored_registers
 
 _KINDS = (("species", np.int16, ()), ("id", np.int64, ()), ("event", np.int16, ()), ("place", np.float64, (3,)),
@@ -31,14 +31,14 @@ def find_cells(world: World, population: Population) -> None:
     if world.fields and len(population):
         sides = world.ground.sides(population.footing, world.options.threads)
         place = rest_places(world, population)
-        found: dict[int, Cells] = {}  # fields may share their cells
+        cells_by_id: dict[int, Cells] = {}  # fields may share their cells
         for name, field in world.fields.items():
-            if id(field.cells) not in found:
-                known, room = population.voxels.get(name), population.cells.get(name)
-                found[id(field.cells)], population.voxels[name] = field.cells.follow(
-                    place, sides, known, room, world.options.threads
+            if id(field.cells) not in cells_by_id:
+                known, buffer = population.voxels.get(name), population.cells.get(name)
+                cells_by_id[id(field.cells)], population.voxels[name] = field.cells.follow(
+                    place, sides, known, buffer, world.options.threads
                 )
-            population.cells[name] = found[id(field.cells)]
+            population.cells[name] = cells_by_id[id(field.cells)]
 
 
 def deposit(world: World) -> None:
@@ -56,10 +56,10 @@ def settle_newborn(world: World) -> None:
     raise_events(world)
     give(world)
     dig(world)
-    laying = [p for p in world.populations.values() if "deposit" in p.effects.asked]
+    laying = [p for p in world.populations.values() if "deposit" in p.effects.requests]
     for population in laying:
         find_cells(world, population)
-    fields = {entry.request.of for p in laying for entry in p.effects.asked["deposit"]}
+    fields = {entry.request.of for p in laying for entry in p.effects.requests["deposit"]}
     deposit(world)
     for name in fields:
         world.fields[name].step(1.0, 0.0, world.dt)
@@ -85,21 +85,21 @@ def raise_events(world: World) -> None:
                     _reach(population, entry, other, other.raised[event])
 
 
-def _tell(world: World, population: Population, entry: Asked) -> None:
+def _tell(world: World, population: Population, entry: RequestEntry) -> None:
     """Flag the agent that each emitter names, if it exists and is in reach."""
-    other = world.populations.get(entry.request.whom or "")
+    other = world.populations.get(entry.request.target_species or "")
     if other is None or not len(other) or entry.request.of not in other.raised:
         return
-    rows, told = entry.rows, other.rows_of(entry.arg(1))
-    there = told >= 0
+    rows, receivers = entry.rows, other.rows_of(entry.arg(1))
+    is_reached = receivers >= 0
     if entry.args[0] is not None:
-        at = np.where(there, told, 0)
+        at = np.where(is_reached, receivers, 0)
         dx, dy, dz = (other.start[f"position.{a}"][at] - population.start[f"position.{a}"][rows] for a in AXES)
-        there &= np.sqrt((dx * dx + dy * dy) + dz * dz) <= entry.arg(0)
-    other.raised[entry.request.of][told[there]] = True
+        is_reached &= np.sqrt((dx * dx + dy * dy) + dz * dz) <= entry.arg(0)
+    other.raised[entry.request.of][receivers[is_reached]] = True
 
 
-def _reach(population: Population, entry: Asked, other: Population, flags: NDArray[np.bool_]) -> None:
+def _reach(population: Population, entry: RequestEntry, other: Population, flags: NDArray[np.bool_]) -> None:
     """Flag agents within the distance of some emitter, by positions at the start of the step. The emitter itself is included."""
     within = entry.arg(0)
     own = [population.start[f"position.{axis}"][entry.rows] for axis in AXES]
@@ -136,7 +136,7 @@ Births = list[tuple[Population, NDArray[np.intp], NDArray[np.float64], Footing, 
 def _coming(world: World) -> dict[str, Births]:
     """Return the requested births, by species of the child, in the order in which they get their ids. Parents are read while they
     live."""
-    found: dict[str, Births] = {}
+    births: dict[str, Births] = {}
     for population in world.populations.values():
         entries = population.effects.drained("spawn")
         for species in sorted({e.request.of for e in entries}):
@@ -144,18 +144,18 @@ def _coming(world: World) -> dict[str, Births]:
             order = np.concatenate([np.full(len(e.rows), e.order) for e in entries if e.request.of == species])
             rows = rows[np.lexsort((order, population.ids[rows]))]
             carried = {name: population.now[name][rows].copy() for name in _CARRIED} | {"normal": population.normal[rows]}
-            found.setdefault(species, []).append(
+            births.setdefault(species, []).append(
                 (population, rows, population.position[rows], population.footing.take(rows), carried)
             )
-    return found
+    return births
 
 
 def _bear(world: World, population: Population, births: Births) -> NDArray[np.intp]:
     """Add newborn agents to the world; return their rows."""
     old = len(population)
     for _, rows, position, footing, carried in births:
-        room = limits.AGENTS - len(world)
-        count = min(len(rows), max(0, room))
+        capacity = limits.AGENTS - len(world)
+        count = min(len(rows), max(0, capacity))
         if count < len(rows):
             world.faults.refused_births += len(rows) - count
         if not count:
@@ -213,19 +213,19 @@ def forget_the_dead(world: World, population: Population, *, between_steps: bool
         if register.kind is ir.Kind.I64 and register.of in world.populations and register.role != "temp":
             for holder in (population.now, population.start) if between_steps else (population.now,):
                 held = holder[register.name]
-                gone = (held >= 0) & (world.populations[register.of].rows_of(held) < 0)
-                if gone.any():
-                    held[gone] = -1
+                is_dead = (held >= 0) & (world.populations[register.of].rows_of(held) < 0)
+                if is_dead.any():
+                    held[is_dead] = -1
 
 
 def event_names(world: World) -> tuple[str, ...]:
     """Return the events that a species may handle or emit, by name; `Emitted.event` is an index into these."""
     plans = [population.plan for population in world.populations.values()]
-    found = {name for plan in plans for name in plan.handles}
+    names = {name for plan in plans for name in plan.handles}
     for plan in plans:
         for block in (plan.decide, plan.act, plan.blend, plan.born):
-            found.update(each.of for _, each in placed(block) if isinstance(each, ir.Request) and each.op == "emit")
-    return tuple(sorted(found))
+            names.update(each.of for _, each in placed(block) if isinstance(each, ir.Request) and each.op == "emit")
+    return tuple(sorted(names))
 
 
 def note(world: World, population: Population, rows: NDArray[np.intp], event: str) -> None:
@@ -245,9 +245,9 @@ def note(world: World, population: Population, rows: NDArray[np.intp], event: st
 
 def emitted_since(world: World) -> Emitted:
     """Return the events emitted since the last call, by species, id and event."""
-    found, world.emitted = world.emitted or [], None if world.emitted is None else []
+    entries, world.emitted = world.emitted or [], None if world.emitted is None else []
     arrays = {
-        name: np.concatenate([np.empty((0, *wide), kind), *(getattr(each, name) for each in found)])
+        name: np.concatenate([np.empty((0, *wide), kind), *(getattr(each, name) for each in entries)])
         for name, kind, wide in _KINDS
     }
     order = np.lexsort((arrays["event"], arrays["id"], arrays["species"]))

@@ -55,7 +55,7 @@ class Detail:
 
     def now(self, world: World) -> NDArray[np.int64]:
         """How many agents are at each level."""
-        each = [np.bincount(self._kept(world, p)[1], minlength=len(LEVELS)) for p in world.populations.values()]
+        each = [np.bincount(self._cached_levels(world, p)[1], minlength=len(LEVELS)) for p in world.populations.values()]
         return np.sum(each, axis=0, dtype=np.int64) if each else np.zeros(len(LEVELS), np.int64)
 
     def summary(self, world: World) -> dict[str, dict[str, float]]:
@@ -66,21 +66,21 @@ class Detail:
             "mean": {name: round(int(count) / steps, 3) for name, count in zip(LEVELS, self.counts[1:], strict=True)},
         }
 
-    def felt(self, world: World, population: Population, name: str) -> NDArray[np.int8] | None:
+    def find_levels(self, world: World, population: Population, name: str) -> NDArray[np.int8] | None:
         """Return how each agent senses an obstacle (number of LEVELS, int8[n]), cached for the step; None if it is no obstacle.
 
         An agent inside the box of a piece, for example within the walls of a house, senses its triangles."""
         if name not in self._boxes:
             return None
         key = (population.name, f"~level of {name}", population.version)
-        found: NDArray[np.int8] | None = world.clearances.get(key)
-        if found is None:
-            place, levels = self._kept(world, population)
-            found = levels.copy()
-            middle = np.flatnonzero(found == 1)
-            found[middle[inside(place[middle], *self._boxes[name])]] = 0
-            world.clearances[key] = found
-        return found
+        felt_levels: NDArray[np.int8] | None = world.clearances.get(key)
+        if felt_levels is None:
+            place, levels = self._cached_levels(world, population)
+            felt_levels = levels.copy()
+            middle = np.flatnonzero(felt_levels == 1)
+            felt_levels[middle[inside(place[middle], *self._boxes[name])]] = 0
+            world.clearances[key] = felt_levels
+        return felt_levels
 
     def boxes(self, name: str) -> RayScene:
         """Return the boxes of an obstacle's pieces, which feelers hit instead of the obstacle."""
@@ -89,20 +89,20 @@ class Detail:
     def clearance(self, world: World, population: Population, name: str) -> NDArray[np.float32]:
         """Return a distance (mm, float32[n]) within which an agent touches none of these boxes; cached for the step."""
         key = (population.name, f"~boxes of {name}", population.version)
-        found: NDArray[np.float32] | None = world.clearances.get(key)
-        if found is None:
-            found = self._scenes[name].clearance(*vec.named(population.start, "position"), world.options.threads)
-            world.clearances[key] = found
-        return found
+        distances: NDArray[np.float32] | None = world.clearances.get(key)
+        if distances is None:
+            distances = self._scenes[name].clearance(*vec.named(population.start, "position"), world.options.threads)
+            world.clearances[key] = distances
+        return distances
 
-    def _kept(self, world: World, population: Population) -> tuple[NDArray[np.float32], NDArray[np.int8]]:
+    def _cached_levels(self, world: World, population: Population) -> tuple[NDArray[np.float32], NDArray[np.int8]]:
         """Return the agents' positions, float32[n,3], and the level of each, cached for the step."""
-        place = _places(population)
+        place = _read_positions(population)
         key = (population.name, "~level", population.version)
-        found: NDArray[np.int8] | None = world.clearances.get(key)
-        if found is None:
-            found = world.clearances[key] = self._levels(place, world.frame)
-        return place, found
+        levels: NDArray[np.int8] | None = world.clearances.get(key)
+        if levels is None:
+            levels = world.clearances[key] = self._levels(place, world.frame)
+        return place, levels
 
     def _levels(self, place: NDArray[np.float32], frame: int) -> NDArray[np.int8]:
         away = place.astype(np.float64) - self._camera[min(max(frame - self._first, 0), len(self._camera) - 1)]
@@ -110,7 +110,7 @@ class Detail:
         return (distance > self._near).astype(np.int8) + (distance > self._far).astype(np.int8)
 
 
-def _places(population: Population) -> NDArray[np.float32]:
+def _read_positions(population: Population) -> NDArray[np.float32]:
     return np.stack([population.start[f"position.{axis}"] for axis in AXES], axis=1)
 
 
@@ -134,9 +134,9 @@ def _pieces(mesh: MeshData, used: NDArray[np.int32]) -> NDArray[np.int64]:
     """The number of the piece that each used vertex belongs to."""
     if not len(mesh.faces):
         return np.zeros(0, np.int64)
-    places, same = np.unique(mesh.vertices, axis=0, return_inverse=True)
+    points, same = np.unique(mesh.vertices, axis=0, return_inverse=True)
     faces = same.reshape(-1)[mesh.faces]
-    of_place = components(np.concatenate([faces[:, :2], faces[:, 1:]]), len(places))
+    of_place = components(np.concatenate([faces[:, :2], faces[:, 1:]]), len(points))
     numbers: NDArray[np.int64] = np.unique(of_place[same.reshape(-1)[used]], return_inverse=True)[1].reshape(-1)
     return numbers
 
@@ -149,9 +149,9 @@ def _scene(low: NDArray[np.float32], high: NDArray[np.float32]) -> RayScene:
 
 def inside(place: NDArray[np.float32], low: NDArray[np.float32], high: NDArray[np.float32]) -> NDArray[np.bool_]:
     """Return which places [n,3] lie in one of the boxes. Most lie in a cell of a coarse grid that no box reaches."""
-    found = np.zeros(len(place), np.bool_)
+    is_inside = np.zeros(len(place), np.bool_)
     if not len(place) or not len(low):
-        return found
+        return is_inside
     least, most = low.min(axis=0), high.max(axis=0)
     width = np.maximum(most - least, np.float32(1e-6)) / np.float32(_CELLS)
 
@@ -169,5 +169,5 @@ def inside(place: NDArray[np.float32], low: NDArray[np.float32], high: NDArray[n
     for k in np.flatnonzero(first < last):
         rows = order[first[k] : last[k]]
         within = place[rows, 1:]
-        found[rows[((within >= low[k, 1:]) & (within <= high[k, 1:])).all(axis=1)]] = True
-    return found
+        is_inside[rows[((within >= low[k, 1:]) & (within <= high[k, 1:])).all(axis=1)]] = True
+    return is_inside

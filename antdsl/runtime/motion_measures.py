@@ -34,17 +34,17 @@ _MOVED = 3.0  # body lengths walked in a window, to have a way at all
 _WISH = 0.2  # a push that is meant
 _STILL = 0.03  # of max_speed: standing
 _TOUCH = 0.01  # of the room that two take: closer than this they stand in each other
-_DEEP = 0.05  # of its width: farther in another than this an agent is seen to be
+_DEEP_SHARE = 0.05  # of its width: farther in another than this an agent is seen to be
 _AT_EVERY_STEP = 2_000  # agents up to which trunks are measured in every step; with k times as many, about every k steps
 _COUNTS = (
     "turns", "tilts", "overlaps", "standing", "wishing", "ways", "circling", "straightness", "steps",
     "tilt_max", "step_max", "heads", "heads_inside", "placed", "overlapping", "deep_max",
 )  # fmt: skip
-_WAYS = ("ids", "start", "path", "age")
-_SEEN = tuple(f"{name}.{axis}" for name in ("position", "heading", "up") for axis in AXES)
-_WANTED = tuple(f"{name}.{axis}" for name in ("velocity", "push") for axis in AXES)
-_COUNTED = (*_SEEN, *_WANTED, "max_speed", "size")
-_NOW, _START = itemgetter(*_COUNTED), itemgetter(*_SEEN)
+_WINDOW_COLUMNS = ("ids", "start", "path", "age")
+_POSE_REGISTERS = tuple(f"{name}.{axis}" for name in ("position", "heading", "up") for axis in AXES)
+_MOTION_REGISTERS = tuple(f"{name}.{axis}" for name in ("velocity", "push") for axis in AXES)
+_COUNTED = (*_POSE_REGISTERS, *_MOTION_REGISTERS, "max_speed", "size")
+_NOW, _START = itemgetter(*_COUNTED), itemgetter(*_POSE_REGISTERS)
 _MEANT = (np.float32(_WISH), np.float32(_STILL), np.float32(_MOVED))
 _PART = 512  # agents per part: their numbers are computed before they are counted
 _CELLS = 4096  # of half chords, each of which knows where the bins begin that it reaches
@@ -108,10 +108,10 @@ class Motion:
     def arrays(self) -> dict[str, NDArray[Any]]:
         """All counts by name, for a checkpoint."""
         self._add_counted()
-        found = {name: np.array(getattr(self, name)) for name in _COUNTS}
+        named_arrays = {name: np.array(getattr(self, name)) for name in _COUNTS}
         for species, window in self.windows.items():
-            found |= {f"window.{species}.{name}": np.array(getattr(window, name)) for name in _WAYS}
-        return found
+            named_arrays |= {f"window.{species}.{name}": np.array(getattr(window, name)) for name in _WINDOW_COLUMNS}
+        return named_arrays
 
     @classmethod
     def of(cls, arrays: dict[str, NDArray[Any]]) -> Motion:
@@ -122,7 +122,7 @@ class Motion:
                 value = arrays[name]
                 setattr(motion, name, value.copy() if value.ndim else value.item())
         for species in sorted({name.split(".", 1)[1].rsplit(".", 1)[0] for name in arrays if name.startswith("window.")}):
-            motion.windows[species] = Window(*(arrays[f"window.{species}.{name}"].copy() for name in _WAYS))
+            motion.windows[species] = Window(*(arrays[f"window.{species}.{name}"].copy() for name in _WINDOW_COLUMNS))
         return motion
 
     def observe(self, world: World) -> None:
@@ -132,10 +132,10 @@ class Motion:
         crowds = [population for population in world.populations.values() if len(population)]
         for population in crowds:
             self._step(world, population)
-        deep = self.steps % every == 0 and len(world) > 1
+        with_depths = self.steps % every == 0 and len(world) > 1
         bodies = self.steps % second == 0
-        if deep or bodies:
-            self._bodies(world, deep, crowds if bodies else [])
+        if with_depths or bodies:
+            self._bodies(world, with_depths, crowds if bodies else [])
         self.steps += 1
 
     def _step(self, world: World, population: Population) -> None:
@@ -151,8 +151,8 @@ class Motion:
     def _counted(self, population: Population, window: Window, dt: np.float32, steps: int, threads: int) -> NDArray[np.float64]:
         """Add a step to the counts and the paths; return the straightness of the paths that have ended, 0 to 1."""
         now, start = _NOW(population.now), _START(population.start)
-        seen = (now[0:3], now[3:6], now[6:9], start[0:3], start[3:6], start[6:9])
-        agents = Agents(*seen, now[9:12], now[12:15], *now[15:])
+        poses = (now[0:3], now[3:6], now[6:9], start[0:3], start[3:6], start[6:9])
+        agents = Agents(*poses, now[9:12], now[12:15], *now[15:])
         paths = Paths(population.position, window.start, window.path, window.age, window.straight)
         n = len(population)
         several = parallel.parts(n, threads, parallel.LIGHT)
@@ -190,40 +190,40 @@ class Motion:
         if known is not None and population.reordered is not None and population.reordered[0] is known.ids:
             rows = population.reordered[1]
             if len(rows) == n:
-                for name in _WAYS[1:]:
+                for name in _WINDOW_COLUMNS[1:]:
                     getattr(known, name).take(rows, axis=0, out=getattr(fresh, name), mode="clip")
                 self.windows[population.name] = fresh
                 return fresh
         fresh.start[:], fresh.path[:], fresh.age[:] = population.position, 0.0, 0
         if known is not None and len(known.ids):
             rows = population.rows_of(known.ids)
-            there = rows >= 0
-            at = rows[there]
-            fresh.start[at], fresh.path[at], fresh.age[at] = known.start[there], known.path[there], known.age[there]
+            is_alive = rows >= 0
+            at = rows[is_alive]
+            fresh.start[at], fresh.path[at], fresh.age[at] = known.start[is_alive], known.path[is_alive], known.age[is_alive]
         self.windows[population.name] = fresh
         return fresh
 
-    def _bodies(self, world: World, deep: bool, crowds: list[Population]) -> None:
-        """Measure, if `deep`, how far trunks penetrate each other. Of some crowds, also measure how far agents overlap (0 apart,
-        1 at one position, for the worst neighbour), and which heads are inside the ground. The measures run separately, in
+    def _bodies(self, world: World, with_depths: bool, crowds: list[Population]) -> None:
+        """Measure, if `with_depths`, how far trunks penetrate each other. Of some crowds, also measure how far agents overlap (0
+        apart, 1 at one position, for the worst neighbour), and which heads are inside the ground. The measures run separately, in
         parallel."""
-        looks: list[Callable[[], NDArray[Any]]] = [partial(depths, world)] if deep else []
+        looks: list[Callable[[], NDArray[Any]]] = [partial(depths, world)] if with_depths else []
         for population in crowds:
             now = population.now
             looks.append(partial(worst_overlaps, *vec.named(now, "position"), now["radius"]))
             looks.append(partial(heads_inside, world, population))
 
-        def some(begin: int, end: int) -> list[NDArray[Any]]:
+        def run_looks(begin: int, end: int) -> list[NDArray[Any]]:
             with np.errstate(all="ignore"):  # which each thread has for itself
                 return [look() for look in looks[begin:end]]
 
-        found = chain.from_iterable(parallel.in_parts(some, len(looks), world.options.threads, 1))
-        if deep:
-            self.deep_max = max(self.deep_max, float((next(found) > _DEEP).mean()))
+        results = chain.from_iterable(parallel.in_parts(run_looks, len(looks), world.options.threads, 1))
+        if with_depths:
+            self.deep_max = max(self.deep_max, float((next(results) > _DEEP_SHARE).mean()))
         for population in crowds:
-            self.overlaps += np.bincount((next(found) * _BINS).astype(np.int64), minlength=_BINS + 1)
+            self.overlaps += np.bincount((next(results) * _BINS).astype(np.int64), minlength=_BINS + 1)
             self.heads += len(population)
-            self.heads_inside += int(np.count_nonzero(next(found)))
+            self.heads_inside += int(np.count_nonzero(next(results)))
 
     def summary(self) -> dict[str, float]:
         """turn_p99, tilt_p99, tilt_max (degrees a step), step_max (of the longest step allowed), circling, standing,
@@ -260,12 +260,12 @@ def _bins() -> tuple[NDArray[np.float32], NDArray[np.int64]]:
 
     First the least half chord of each bin, float32[bins + 2]; the last is beyond all. Then the bin of the least half chord of
     each of 4096 cells, int64[cells + 1]. Bins are found by bisection, since a longer chord is a greater angle."""
-    wanted = np.arange(1, _BINS + 1)
+    bin_numbers = np.arange(1, _BINS + 1)
     low, high = (np.full(_BINS, np.float32(end).view(np.int32), np.int64) for end in (0.0, 1.0))
     while (low < high).any():  # positive floats are ordered as their bits are
         middle = (low + high) >> 1
-        there = _bin_of(_angle(middle.astype(np.int32).view(np.float32))) >= wanted
-        low, high = np.where(there, low, np.minimum(middle + 1, high)), np.where(there, middle, high)
+        is_reached = _bin_of(_angle(middle.astype(np.int32).view(np.float32))) >= bin_numbers
+        low, high = np.where(is_reached, low, np.minimum(middle + 1, high)), np.where(is_reached, middle, high)
     least = np.concatenate([[0.0], low.astype(np.int32).view(np.float32), [np.inf]]).astype(np.float32)
     return least, _bin_of(_angle(np.arange(_CELLS + 1, dtype=np.float32) / np.float32(_CELLS)))
 
@@ -366,7 +366,7 @@ def _count_step(agents: Agents, paths: Paths, bins: Bins, meant: Meant, begin: I
     ended, standing, part = 0, 0, own(begin, count, several)
     tilted, longest = np.float32(0.0), np.float32(0.0)
     turn, tilt, share, speed = scratch(_PART, F32), scratch(_PART, F32), scratch(_PART, F32), scratch(_PART, F32)
-    wanted = scratch(_PART, F32)
+    push_lengths = scratch(_PART, F32)
     for low in range(begin, end, 512):
         high = min(low + _PART, end)
         for i in independent(low, high):
@@ -378,7 +378,7 @@ def _count_step(agents: Agents, paths: Paths, bins: Bins, meant: Meant, begin: I
         for i in independent(low, high):
             speed[i - low] = _length(velocity[0][i], velocity[1][i], velocity[2][i])
         for i in independent(low, high):
-            wanted[i - low] = _length(push[0][i], push[1][i], push[2][i])
+            push_lengths[i - low] = _length(push[0][i], push[1][i], push[2][i])
         for i in range(low, high):
             at = i - low
             _count(min(turn[at], np.float32(1.0)), least, first, turns, part)
@@ -387,7 +387,7 @@ def _count_step(agents: Agents, paths: Paths, bins: Bins, meant: Meant, begin: I
             tilted = max(tilted, half)
             if fastest[i] * dt > np.float32(0.0) and share[at] > longest:
                 longest = share[at]
-            standing += 1 if wanted[at] > wish and speed[at] < fastest[i] * still else 0
+            standing += 1 if push_lengths[at] > wish and speed[at] < fastest[i] * still else 0
             path[i] += np.float64(speed[at] * dt)
             age[i] += 1
             if age[i] >= steps:

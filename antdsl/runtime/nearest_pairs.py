@@ -13,25 +13,25 @@ from numpy.typing import NDArray
 from antdsl.runtime.world import AXES, Population, World
 
 Floats = NDArray[np.float32]
-Found = tuple[NDArray[np.intp], NDArray[np.intp], Floats, Floats, Floats, Floats]
+PairColumns = tuple[NDArray[np.intp], NDArray[np.intp], Floats, Floats, Floats, Floats]
 
 _ROUNDED = 1 + 1e-6  # by more than float32 rounds a distance
 _LEAST = 1e-15  # mm, below which squares of float32 lose digits
 _MOST = 1e15  # mm, above which they overflow
 _FIRST = 3  # how many of the nearest are looked at first
-_MORE = 4  # times as many, where all of them are as near
+_GROWTH = 4  # times as many, where all of them are as near
 _ALIKE = 64  # above which all are measured: so many are as far as float32 can tell
 _AT_ONCE = 1 << 20  # pairs
 
 
-def nearest_of_all(world: World, other: Population, own: tuple[Floats, ...], ids: NDArray[np.int64] | None) -> Found | None:
+def nearest_of_all(world: World, other: Population, own: tuple[Floats, ...], ids: NDArray[np.int64] | None) -> PairColumns | None:
     """Return the nearest other of each asking agent. The agents are float32[n] x, y and z mm, with `ids` if they are of the
     other's species, so that none finds itself. Returns the ascending indices of agents with a result, rows of the others, offsets
     x, y, z from the asking agent, and distances. Returns None if a position is not finite or its square exceeds float32."""
-    mine, places = np.stack(own, axis=1).astype(np.float64), _places(world, other)
-    if places is None or not (np.abs(mine) < _MOST).all():
+    mine, sites = np.stack(own, axis=1).astype(np.float64), _cached_sites(world, other)
+    if sites is None or not (np.abs(mine) < _MOST).all():
         return None
-    every = len(places.first)
+    every = len(sites.first)
     count, parts = min(every, _FIRST), []
     asking = np.arange(len(mine))
     while len(asking):
@@ -41,19 +41,19 @@ def nearest_of_all(world: World, other: Population, own: tuple[Floats, ...], ids
         left = []
         at_once = max(1, _AT_ONCE // count)
         for first in range(0, len(asking), at_once):
-            some = asking[first : first + at_once]
-            away, place = places.tree.query(mine[some], np.arange(1, count + 1))
-            row, last = places.first.take(place), away[:, -1].copy()
+            batch = asking[first : first + at_once]
+            away, place = sites.tree.query(mine[batch], np.arange(1, count + 1))
+            row, last = sites.first.take(place), away[:, -1].copy()
             if ids is not None:
-                row = np.where(other.ids.take(row) == ids.take(some)[:, None], places.second.take(place), row)
+                row = np.where(other.ids.take(row) == ids.take(batch)[:, None], sites.second.take(place), row)
                 away[row < 0] = np.inf
             reach = np.maximum(away.min(axis=1) * _ROUNDED, _LEAST)
-            whole = (last > reach) | (count == every)
-            near = np.isfinite(away) & (away <= reach[:, None]) & whole[:, None]
+            is_complete = (last > reach) | (count == every)
+            near = np.isfinite(away) & (away <= reach[:, None]) & is_complete[:, None]
             who, which = np.nonzero(near)
-            parts.append(_least(other, own, some.take(who), row[who, which]))
-            left.append(some[~whole])
-        asking, count = np.concatenate(left), min(every, _MORE * count)
+            parts.append(_least(other, own, batch.take(who), row[who, which]))
+            left.append(batch[~is_complete])
+        asking, count = np.concatenate(left), min(every, _GROWTH * count)
     if not parts:
         return asking, asking, own[0], own[0], own[0], own[0]
     joined = [np.concatenate(arrays) for arrays in zip(*parts, strict=True)]
@@ -62,25 +62,27 @@ def nearest_of_all(world: World, other: Population, own: tuple[Floats, ...], ids
     return i, j, dx, dy, dz, distance
 
 
-def _of_all(other: Population, own: tuple[Floats, ...], ids: NDArray[np.int64] | None, asking: NDArray[np.intp]) -> list[Found]:
+def _of_all(
+    other: Population, own: tuple[Floats, ...], ids: NDArray[np.int64] | None, asking: NDArray[np.intp]
+) -> list[PairColumns]:
     """Find the nearest of all others for some requesting agents, by measuring all pairs."""
     order = other.in_id_order()
     known, place = other.ids.take(order), [other.start[f"position.{axis}"].take(order) for axis in AXES]
     parts, at_once = [], max(1, _AT_ONCE // len(order))
     for first in range(0, len(asking), at_once):
-        some = asking[first : first + at_once]
-        dx, dy, dz = (theirs - mine.take(some)[:, None] for theirs, mine in zip(place, own, strict=True))
+        batch = asking[first : first + at_once]
+        dx, dy, dz = (theirs - mine.take(batch)[:, None] for theirs, mine in zip(place, own, strict=True))
         distance = np.sqrt((dx * dx + dy * dy) + dz * dz)
         if ids is not None:
-            distance[known == ids.take(some)[:, None]] = np.inf
+            distance[known == ids.take(batch)[:, None]] = np.inf
         best = distance.argmin(axis=1)  # the first of several, which has the least id
-        there = np.flatnonzero(np.isfinite(distance[np.arange(len(some)), best]))
-        way = (array[there, best.take(there)] for array in (dx, dy, dz, distance))
-        parts.append((some.take(there), order.take(best.take(there)), *way))
+        hit_rows = np.flatnonzero(np.isfinite(distance[np.arange(len(batch)), best]))
+        columns = (array[hit_rows, best.take(hit_rows)] for array in (dx, dy, dz, distance))
+        parts.append((batch.take(hit_rows), order.take(best.take(hit_rows)), *columns))
     return parts
 
 
-def _least(other: Population, own: tuple[Floats, ...], i: NDArray[np.intp], j: NDArray[np.intp]) -> Found:
+def _least(other: Population, own: tuple[Floats, ...], i: NDArray[np.intp], j: NDArray[np.intp]) -> PairColumns:
     """Return the nearest of candidate pairs, one for each requesting agent."""
     dx, dy, dz = (other.start[f"position.{axis}"].take(j) - own[k].take(i) for k, axis in enumerate(AXES))
     distance = np.sqrt((dx * dx + dy * dy) + dz * dz)
@@ -91,7 +93,7 @@ def _least(other: Population, own: tuple[Floats, ...], i: NDArray[np.intp], j: N
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Places:
+class _Sites:
     """The distinct positions of agents of a species: a k-d `tree`, and the rows of the two least ids at each. The second is -1 if
     there is only one. It is needed because the requesting agent may be the first."""
 
@@ -100,16 +102,16 @@ class _Places:
     second: NDArray[np.intp]
 
 
-def _places(world: World, other: Population) -> _Places | None:
+def _cached_sites(world: World, other: Population) -> _Sites | None:
     """Return the positions of a species at the start of the step, cached within the step. None if there are none, or one is not
     finite or too far out."""
     if other.name not in world.trees:
-        world.trees[other.name] = _found(other)
-    found: _Places | None = world.trees[other.name]
-    return found
+        world.trees[other.name] = _build_sites(other)
+    sites: _Sites | None = world.trees[other.name]
+    return sites
 
 
-def _found(other: Population) -> _Places | None:
+def _build_sites(other: Population) -> _Sites | None:
     from scipy.spatial import cKDTree
 
     x, y, z = (other.start[f"position.{axis}"] for axis in AXES)
@@ -121,5 +123,5 @@ def _found(other: Population) -> _Places | None:
     starts = np.flatnonzero(new)
     several = np.diff(np.append(starts, len(order))) > 1
     second = np.where(several, order.take(np.minimum(starts + 1, len(order) - 1)), -1)
-    places = np.stack([each.take(starts) for each in (x, y, z)], axis=1).astype(np.float64)
-    return _Places(cKDTree(places), order.take(starts), second)
+    points = np.stack([each.take(starts) for each in (x, y, z)], axis=1).astype(np.float64)
+    return _Sites(cKDTree(points), order.take(starts), second)

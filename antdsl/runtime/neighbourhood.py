@@ -53,7 +53,7 @@ def widest_gap(world: World, population: Population, rows: Rows, within: Floats,
     `most` nearest others of any species within `within` mm, on their side of the ground; 0 without any."""
     plane = Plane.of(population, rows, world.options.threads)
     others = _others(world, population, rows, within, most, None, plane)
-    return plane.raised(*widest_gaps(others.x, others.y, others.there), world.options.threads)
+    return plane.raised(*widest_gaps(others.x, others.y, others.is_present), world.options.threads)
 
 
 def _others(
@@ -67,25 +67,25 @@ def _others(
     ids, radius = population.ids[rows], _radius(population, rows)
     far = float(reach.max(initial=0.0, where=np.isfinite(reach)))
     shape = (n, widest)
-    x, y, vx, vy, room = (np.zeros(shape) for _ in range(5))
-    there, first = np.zeros(shape, np.bool_), np.zeros(shape, np.bool_)
+    x, y, vx, vy, radius_sum = (np.zeros(shape) for _ in range(5))
+    is_present, first = np.zeros(shape, np.bool_), np.zeros(shape, np.bool_)
     nearest = np.empty(shape, np.float32), *(np.empty(shape, np.int64) for _ in range(3)), np.zeros(n, np.int64)
     up, ahead, left = (_plain(each) for each in (plane.up, plane.ahead, plane.left))
     moving = ahead if own is None else _plain(own)
     asking = Asking(ids, radius, ahead, left, own is not None, moving)
-    columns = OtherColumns(x, y, vx, vy, room, there, first)
-    found = []
+    columns = OtherColumns(x, y, vx, vy, radius_sum, is_present, first)
+    candidates = []
     for number, (name, other) in enumerate(world.populations.items()):
         if not len(other) or not widest:
             continue
         p = _near(world, other, ids if other is population else None, place, reach, far)
         theirs = _plain(vec.named(other.start, "up"))
         _choose(p.i, p.j, p.distance, up, theirs, other.ids, number, count, nearest)
-        found.append((number, name, other, p))
-    for number, name, other, p in found:
+        candidates.append((number, name, other, p))
+    for number, name, other, p in candidates:
         velocity = _plain(vec.named(other.start, "velocity"))
-        asked = Asked(number, other is population, population.name < name, velocity, _radius(other))
-        _lay(nearest, asking, asked, p.j, (p.dx, p.dy, p.dz), columns)
+        other_species = Asked(number, other is population, population.name < name, velocity, _radius(other))
+        _lay(nearest, asking, other_species, p.j, (p.dx, p.dy, p.dz), columns)
     return Others(*columns)
 
 
@@ -128,15 +128,15 @@ def _choose(
             continue
         d, name, at = distance[k], ids[b], taken[a]
         while at > 0:
-            before = at - 1
-            if far[a, before] < d:
+            previous = at - 1
+            if far[a, previous] < d:
                 break
-            if far[a, before] == d:
-                if species[a, before] < number:
+            if far[a, previous] == d:
+                if species[a, previous] < number:
                     break
-                if species[a, before] == number and names[a, before] < name:
+                if species[a, previous] == number and names[a, previous] < name:
                     break
-            at = before
+            at = previous
         if at >= most[a]:
             continue
         last = min(taken[a], most[a] - 1)
@@ -177,17 +177,19 @@ class OtherColumns(NamedTuple):
     y: Array2[F64]
     vx: Array2[F64]
     vy: Array2[F64]
-    room: Array2[F64]
-    there: Array2[BOOL]
+    radius_sum: Array2[F64]
+    is_present: Array2[BOOL]
     first: Array2[BOOL]
 
 
 @kernel
-def _lay(nearest: Nearest, asking: Asking, asked: Asked, j: Array1[I64], way: Vectors32, columns: OtherColumns) -> None:
+def _lay(
+    nearest: Nearest, asking: Asking, other_species: Asked, j: Array1[I64], offset: Vectors32, columns: OtherColumns
+) -> None:
     """Fill the columns for the neighbours of one species in the tables."""
     ids, radius, ahead, left, moves, own = asking
-    number, same, sooner, theirs, other = asked
-    x, y, vx, vy, room, there, first = columns
+    number, same, sooner, theirs, other = other_species
+    x, y, vx, vy, radius_sum, is_present, first = columns
     _, species, names, pairs, taken = nearest
     for a in range(taken.size):
         ax, ay, az = ahead[0][a], ahead[1][a], ahead[2][a]
@@ -197,7 +199,7 @@ def _lay(nearest: Nearest, asking: Asking, asked: Asked, j: Array1[I64], way: Ve
                 continue
             k = pairs[a, c]
             b = j[k]
-            wx, wy, wz = np.float64(way[0][k]), np.float64(way[1][k]), np.float64(way[2][k])
+            wx, wy, wz = np.float64(offset[0][k]), np.float64(offset[1][k]), np.float64(offset[2][k])
             x[a, c] = _dot((wx, wy, wz), (ax, ay, az))
             y[a, c] = _dot((wx, wy, wz), (lx, ly, lz))
             if moves:
@@ -205,8 +207,8 @@ def _lay(nearest: Nearest, asking: Asking, asked: Asked, j: Array1[I64], way: Ve
                 mx, my, mz = own[0][a] - tx, own[1][a] - ty, own[2][a] - tz
                 vx[a, c] = _dot((mx, my, mz), (ax, ay, az))
                 vy[a, c] = _dot((mx, my, mz), (lx, ly, lz))
-            room[a, c] = radius[a] + other[b]
-            there[a, c] = True
+            radius_sum[a, c] = radius[a] + other[b]
+            is_present[a, c] = True
             first[a, c] = ids[a] < names[a, c] if same else sooner
 
 
@@ -233,9 +235,9 @@ class Plane:
     def of(cls, population: Population, rows: Rows, threads: int) -> Plane:
         """Return the plane of the agents of some rows, as at the start of the step."""
         up, heading = (vec.named(population.start, name) for name in ("up", "heading"))
-        found = np.empty((3, 3, len(rows)))
-        parallel.in_parts(partial(_stand, rows, up, heading, *found), len(rows), threads, parallel.LIGHT)
-        return cls(*(tuple(each) for each in found))
+        axes = np.empty((3, 3, len(rows)))
+        parallel.in_parts(partial(_stand, rows, up, heading, *axes), len(rows), threads, parallel.LIGHT)
+        return cls(*(tuple(each) for each in axes))
 
     def moves(self, population: Population, rows: Rows, wish: Vector, threads: int) -> Moves:
         """Return the motion of these agents, with the velocities (mm/s) in space that they wish for. NaN becomes 0."""
@@ -249,9 +251,9 @@ class Plane:
 
     def raised(self, x: Floats, y: Floats, threads: int) -> tuple[NDArray[np.float32], ...]:
         """Vectors of such parts."""
-        made = np.empty((3, len(x)), np.float32)
-        parallel.in_parts(partial(_lift, self.ahead, self.left, x, y, made), len(x), threads, parallel.LIGHT)
-        return tuple(made)
+        vectors = np.empty((3, len(x)), np.float32)
+        parallel.in_parts(partial(_lift, self.ahead, self.left, x, y, vectors), len(x), threads, parallel.LIGHT)
+        return tuple(vectors)
 
 
 @inlined
@@ -287,10 +289,10 @@ def _stand(
     for k in independent(begin, end):
         row = rows[k]
         u = _known_of(up, row)
-        way = direction(flat(_known_of(heading, row), u), u)
+        forward = direction(flat(_known_of(heading, row), u), u)
         put(above, k, u)
-        put(ahead, k, way)
-        put(left, k, cross(u, way))
+        put(ahead, k, forward)
+        put(left, k, cross(u, forward))
 
 
 @kernel
@@ -319,11 +321,11 @@ def _move(
 
 
 @kernel
-def _lift(ahead: Vectors64, left: Vectors64, x: Array1[F64], y: Array1[F64], made: Array2[F32], begin: I64, end: I64) -> None:
-    """`Plane.raised`, from the `begin`-th to before the `end`-th, into `made` (3, n)."""
+def _lift(ahead: Vectors64, left: Vectors64, x: Array1[F64], y: Array1[F64], vectors: Array2[F32], begin: I64, end: I64) -> None:
+    """`Plane.raised`, from the `begin`-th to before the `end`-th, into `vectors` (3, n)."""
     for k in independent(begin, end):
         for axis in range(3):
-            made[axis, k] = np.float32(ahead[axis][k] * x[k] + left[axis][k] * y[k])
+            vectors[axis, k] = np.float32(ahead[axis][k] * x[k] + left[axis][k] * y[k])
 
 
 def grid_for(world: World, other: Population, widest: float) -> CellGrid:

@@ -77,13 +77,13 @@ def find(world: World, population: Population, node: ir.Node, rows: Any, args: t
     except TooManyWithin:
         pass
     species = world.plan.species[population.name]
-    count = nearest_asked(species, node)
+    count = count_nearest(species, node)
     try:
         if count is None:
             raise TooManyWithin
         return _near(world, other, own, ids, _shorter(other, own, ids, radius, count), view, threads)
     except TooManyWithin:
-        span = _asked_at(species, node)
+        span = _find_request(species, node)
         what = "neighbours" if span is None else " ".join(span.text.split())
         why = f"has more than {limits.WITHIN_RADIUS:,} others in its radius; the {limits.NEIGHBOURS} nearest count"
         fault = Fault(world.frame, population.name, -1, what, span, (), f"{why}: {_advice(other, radius)}")
@@ -100,18 +100,18 @@ def _advice(other: Population, radius: Any) -> str:
 
 def only_the_nearest(species: ir.SpeciesPlan, node: ir.Node) -> bool:
     """Return whether a set is a whole species of which only the nearest agent is used: then that one stands for the set."""
-    return node.op == "set.every" and nearest_asked(species, node) == 1
+    return node.op == "set.every" and count_nearest(species, node) == 1
 
 
 @lru_cache(256)
-def nearest_asked(species: ir.SpeciesPlan, node: ir.Node) -> int | None:
+def count_nearest(species: ir.SpeciesPlan, node: ir.Node) -> int | None:
     """Return how many of the nearest agents of a set determine all its results; None if more than its nearest is used."""
     every = needed(n for _, block in blocks(species) for _, statement in statements(block) for n in operands(statement))
-    made = [each for each in every if each.op.startswith("reduce.") and each.args[0] is node]
-    if not made or any(each.op != "reduce.agent" or each.args[2].op != "pair.distance" for each in made):
+    reductions = [each for each in every if each.op.startswith("reduce.") and each.args[0] is node]
+    if not reductions or any(each.op != "reduce.agent" or each.args[2].op != "pair.distance" for each in reductions):
         return None
     all_round = node.op == "set.every" or node.attrs[1]
-    plain = all_round and all(each.args[1].op == "const.bool" and each.args[1].attrs[0] for each in made)
+    plain = all_round and all(each.args[1].op == "const.bool" and each.args[1].attrs[0] for each in reductions)
     return 1 if plain else limits.NEIGHBOURS
 
 
@@ -121,14 +121,14 @@ def _shorter(other: Population, own: tuple[Floats, ...], ids: NDArray[np.int64] 
 
     theirs = np.stack([other.start[f"position.{axis}"] for axis in AXES], axis=1).astype(np.float64)
     mine = np.stack(own, axis=1).astype(np.float64)
-    known, asked = np.isfinite(theirs).all(axis=1), np.isfinite(mine).all(axis=1)
+    known, is_finite = np.isfinite(theirs).all(axis=1), np.isfinite(mine).all(axis=1)
     away = np.full(len(mine), np.inf)
-    away[asked] = cKDTree(theirs[known]).query(mine[asked], [count + (ids is not None)])[0][:, 0]
+    away[is_finite] = cKDTree(theirs[known]).query(mine[is_finite], [count + (ids is not None)])[0][:, 0]
     shorter: Floats = np.minimum(radius, away * _ROUNDED).astype(np.float32)
     return shorter
 
 
-def _asked_at(species: ir.SpeciesPlan, node: ir.Node) -> Span | None:
+def _find_request(species: ir.SpeciesPlan, node: ir.Node) -> Span | None:
     """Return where the species' own text uses a set that a library may define: the smallest part of the text that needs the
     set."""
     if _own_text(node.span):
@@ -207,9 +207,9 @@ def _count(pairs: PairRows, node: ir.Node, condition: Any) -> Any:
 
 
 def _any(pairs: PairRows, node: ir.Node, condition: Any) -> Any:
-    found = np.zeros(pairs.count, np.bool_)
-    found[_held(pairs, condition)[0]] = True
-    return found
+    has_any = np.zeros(pairs.count, np.bool_)
+    has_any[_held(pairs, condition)[0]] = True
+    return has_any
 
 
 def _starts(i: Index) -> NDArray[np.intp]:
@@ -316,6 +316,6 @@ def pair_leaf(pairs: PairRows, node: ir.Node) -> NDArray[Any]:
             assert isinstance(pairs.of, Population)
             return pairs.of.ids.take(pairs.j)
         case "other":
-            source = pairs.of.start if isinstance(pairs.of, Population) else pairs.of.seen
+            source = pairs.of.start if isinstance(pairs.of, Population) else pairs.of.visible_values
             return source[node.attrs[0]].take(pairs.j)
     raise AssertionError(f"{node.op} is not of a pair")

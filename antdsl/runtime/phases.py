@@ -20,7 +20,7 @@ from antdsl.runtime import claims, digging, faults, lifecycle
 from antdsl.runtime.faults import FaultStop
 from antdsl.runtime.feet import walking
 from antdsl.runtime.moving import advance, contacts, moving_geometry, tilting, walks
-from antdsl.runtime.world import PUSHED, Population, World, begin_anew
+from antdsl.runtime.world import PUSHED, Population, World, publish_state
 
 _SORT_EVERY, _SORT_FROM = 16, 2048  # frames, agents
 
@@ -88,7 +88,7 @@ def effects(world: World) -> None:
 
 def _settle(phase: str, world: World) -> None:
     """Settle the requests of a phase, by the rows; a function that settles several is called once."""
-    if any([population.effects.asked for population in world.populations.values()]):
+    if any([population.effects.requests for population in world.populations.values()]):
         for settle in dict.fromkeys(SETTLES[op] for op in settled_in(phase)):
             settle(world)
 
@@ -108,11 +108,11 @@ def move(world: World) -> None:
             if PUSHED in population.now:
                 population.now[PUSHED].fill(0)
         for substep in range(world.setting.substeps):
-            stood = contacts.stood(world)
+            stances = contacts.record_stances(world)
             for population in world.populations.values():
                 advance.move(world, population, substep)
-            if stood is not None:
-                contacts.resolve(world, stood, world.dt / world.setting.substeps)
+            if stances is not None:
+                contacts.resolve(world, stances, world.dt / world.setting.substeps)
 
 
 def measure(world: World) -> None:
@@ -130,7 +130,7 @@ def bear(world: World) -> None:
 
 def commit(world: World) -> None:
     """Make what was written in this step the state that agents see in the next."""
-    world.frame, world.stepping = world.shown, False
+    world.frame, world.stepping = world.display_frame, False
     by_place = (world.frame - world.setting.first_frame - 1) % _SORT_EVERY == 0  # after the first step, too
     for population in world.populations.values():
         for name in population.events:
@@ -138,7 +138,7 @@ def commit(world: World) -> None:
             population.raised[name].fill(False)
         sorts = by_place and len(population) >= _SORT_FROM
         threads = world.options.threads
-        begin_anew(population, threads, _by_place(population, threads) if sorts else None)
+        publish_state(population, threads, _by_place(population, threads) if sorts else None)
 
 
 def _by_place(population: Population, threads: int) -> NDArray[np.intp]:
@@ -154,11 +154,11 @@ def _count_transitions(world: World, population: Population) -> None:
         name = f"{machine.name}.state"
         if population.plan.registers[name].kind is not Kind.I32 or not len(population):
             continue
-        before, after = population.start[name], population.now[name]
-        (changed,) = (before != after).nonzero()
+        previous_states, next_states = population.start[name], population.now[name]
+        (changed,) = (previous_states != next_states).nonzero()
         if changed.size:
             count = len(machine.states)
-            numbers = np.bincount(before[changed].astype(np.int64) * count + after[changed])
+            numbers = np.bincount(previous_states[changed].astype(np.int64) * count + next_states[changed])
             for pair in numbers.nonzero()[0].tolist():
                 key = f"{population.name}.{machine.states[pair // count]}->{machine.states[pair % count]}"
                 world.transitions[key] = world.transitions.get(key, 0) + int(numbers[pair])
@@ -215,9 +215,9 @@ def _step(world: World) -> None:
         passed = ended - started
         # The processors' clock takes longer to read than many a phase of a small crowd: those have what passed, and the next that
         # takes longer the rest.
-        done = worked + passed if passed < _SHORT and name != _LAST else process_time()
+        processor_time = worked + passed if passed < _SHORT and name != _LAST else process_time()
         timings[name] = timings.get(name, 0.0) + passed
-        spent[name] = spent.get(name, 0.0) + done - worked
-        started, worked = ended, done
+        spent[name] = spent.get(name, 0.0) + processor_time - worked
+        started, worked = ended, processor_time
     if world.faults.latest is not None and world.options.on_fault == "stop":
         raise FaultStop(world.faults.latest)

@@ -114,8 +114,8 @@ class Meter:
         if world is not self._world:
             return
         phases, worked = (
-            {name: seconds - before.get(name, 0.0) for name, seconds in after.items()}
-            for before, after in zip(self._before, (world.timings, world.worked), strict=True)
+            {name: seconds - previous_times.get(name, 0.0) for name, seconds in current_times.items()}
+            for previous_times, current_times in zip(self._before, (world.timings, world.worked), strict=True)
         )
         calls = {key: metered.seconds for key, metered in _metered(world).items()}
         now = _Measured(1, self._clock(), phases, worked, calls)
@@ -141,31 +141,31 @@ class Meter:
         """Return what was measured; empty before the first step."""
         if not self._measured or self._plan is None:
             return Profile()
-        whole = _Measured(0, 0.0, {}, {}, {})
+        total = _Measured(0, 0.0, {}, {}, {})
         for each in self._measured:
-            whole.add(each)
-        to_ms = 1000 / whole.steps
-        phases = {name: seconds * to_ms for name, seconds in whole.phases.items()}
-        worked = {name: seconds * to_ms for name, seconds in whole.worked.items()}
-        lines = sorted(_lines(self._spent(whole), to_ms), key=lambda each: (-each.ms, each.file, each.line))
-        layers = self._layers(self._plan, whole, to_ms)
-        return Profile(whole.steps, sum(phases.values()), phases, worked, layers, tuple(lines), dict(self._ran))
+            total.add(each)
+        to_ms = 1000 / total.steps
+        phases = {name: seconds * to_ms for name, seconds in total.phases.items()}
+        worked = {name: seconds * to_ms for name, seconds in total.worked.items()}
+        lines = sorted(_lines(self._spent(total), to_ms), key=lambda each: (-each.ms, each.file, each.line))
+        layers = self._layers(self._plan, total, to_ms)
+        return Profile(total.steps, sum(phases.values()), phases, worked, layers, tuple(lines), dict(self._ran))
 
-    def _spent(self, whole: _Measured) -> Iterator[tuple[Instruction, float]]:
-        for key, times in whole.calls.items():
+    def _spent(self, total: _Measured) -> Iterator[tuple[Instruction, float]]:
+        for key, times in total.calls.items():
             yield from zip(self._instructions[key], times, strict=True)
 
-    def _layers(self, plan: Plan, whole: _Measured, to_ms: float) -> tuple[LayerTime, ...]:
+    def _layers(self, plan: Plan, total: _Measured, to_ms: float) -> tuple[LayerTime, ...]:
         """Return all layers in order, also those that no agent reached."""
-        found: list[LayerTime] = []
+        layer_times: list[LayerTime] = []
         for name, species in plan.species.items():
             spent = [0.0] * len(species.layers)
-            times = whole.calls.get((name, "blend"), [])
+            times = total.calls.get((name, "blend"), [])
             for instruction, seconds in zip(self._instructions.get((name, "blend"), []), times, strict=True):
                 if instruction.layer >= 0:
                     spent[instruction.layer] += seconds
-            found += [_layer(name, layer, seconds * to_ms) for layer, seconds in zip(species.layers, spent, strict=True)]
-        return tuple(found)
+            layer_times += [_layer(name, layer, seconds * to_ms) for layer, seconds in zip(species.layers, spent, strict=True)]
+        return tuple(layer_times)
 
 
 def _metered(world: World) -> dict[Key, Metered]:
@@ -179,14 +179,14 @@ def _layer(species: str, layer: LayerPlan, ms: float) -> LayerTime:
 def _lines(spent: Iterator[tuple[Instruction, float]], to_ms: float) -> list[LineTime]:
     """Return the calls by the line in which their text begins. Files are compared by name, because parts of a file are read more
     than once."""
-    found: dict[tuple[str, int], float] = {}
+    seconds_by_line: dict[tuple[str, int], float] = {}
     texts: dict[tuple[str, int], str] = {}
     for instruction, seconds in spent:
         span = instruction.span
         if span is None or not seconds:
             continue
         place = (span.source.path, span.source.line_column(span.start)[0])
-        found[place] = found.get(place, 0.0) + seconds
+        seconds_by_line[place] = seconds_by_line.get(place, 0.0) + seconds
         if place not in texts:
             texts[place] = _COMMENT.sub(r"\1", span.source.line_text(place[1])).strip()
-    return [LineTime(file, line, texts[file, line], seconds * to_ms) for (file, line), seconds in found.items()]
+    return [LineTime(file, line, texts[file, line], seconds * to_ms) for (file, line), seconds in seconds_by_line.items()]

@@ -35,7 +35,7 @@ class GiveEntry:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Asked:
+class RequestEntry:
     """One request of some agents: its operands, each with a value per row, None for an absent one."""
 
     request: ir.Request
@@ -67,24 +67,24 @@ class Effects:
     claims: list[ClaimEntry] = field(default_factory=list)
     gives: list[GiveEntry] = field(default_factory=list)
     faults: list[FaultEntry] = field(default_factory=list)
-    asked: dict[str, list[Asked]] = field(default_factory=dict)  # by the op of the effect
+    requests: dict[str, list[RequestEntry]] = field(default_factory=dict)  # by the op of the effect
 
     @property
     def open(self) -> bool:
         """Return whether a request, claim or gift still has to be settled."""
-        return bool(self.asked or self.claims or self.gives)
+        return bool(self.requests or self.claims or self.gives)
 
-    def ask(self, entry: Asked) -> None:
-        self.asked.setdefault(entry.request.op, []).append(entry)
+    def ask(self, entry: RequestEntry) -> None:
+        self.requests.setdefault(entry.request.op, []).append(entry)
 
-    def drained(self, op: str) -> list[Asked]:
+    def drained(self, op: str) -> list[RequestEntry]:
         """The requests of one op, which are removed."""
-        return self.asked.pop(op, [])
+        return self.requests.pop(op, [])
 
     def take(self, other: Effects) -> None:
         """Put another's entries after one's own."""
         self.claims += other.claims
         self.gives += other.gives
         self.faults += other.faults
-        for op, entries in other.asked.items():
-            self.asked.setdefault(op, []).extend(entries)
+        for op, entries in other.requests.items():
+            self.requests.setdefault(op, []).extend(entries)

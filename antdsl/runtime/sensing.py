@@ -57,7 +57,7 @@ def uniform_leaf(world: World, node: ir.Node) -> Value:
         case "told":
             return world.spec_values[node.attrs[0]]
         case "step":
-            return np.float32(world.shown * world.dt if node.attrs[0] == "time" else world.shown)
+            return np.float32(world.display_frame * world.dt if node.attrs[0] == "time" else world.display_frame)
         case "run":
             name = node.attrs[0]
             if name.startswith("up_"):
@@ -117,9 +117,11 @@ def _agent_get(world: World, population: Population, node: ir.Node, rows: Rows, 
     other = world.populations[species]
     at = other.rows_of(_spread(ids, rows))
     source = other.start[register]
-    found = at >= 0
+    is_alive = at >= 0
     return (
-        np.where(found, source[np.where(found, at, 0)], source.dtype.type(0)) if len(source) else np.zeros(len(at), source.dtype)
+        np.where(is_alive, source[np.where(is_alive, at, 0)], source.dtype.type(0))
+        if len(source)
+        else np.zeros(len(at), source.dtype)
     )
 
 
@@ -137,10 +139,12 @@ def _agent_alive(world: World, population: Population, node: ir.Node, rows: Rows
 
 def _item_get(world: World, population: Population, node: ir.Node, rows: Rows, item: Value) -> Value:
     items, attribute = node.attrs
-    source = world.items[items].seen[attribute]
+    source = world.items[items].visible_values[attribute]
     item = _spread(item, rows)
-    found = (item >= 0) & (item < len(source))
-    return np.where(found, source[np.where(found, item, 0)], np.float32(0)) if len(source) else np.zeros(len(item), np.float32)
+    has_item = (item >= 0) & (item < len(source))
+    return (
+        np.where(has_item, source[np.where(has_item, item, 0)], np.float32(0)) if len(source) else np.zeros(len(item), np.float32)
+    )
 
 
 def _item_alive(world: World, population: Population, node: ir.Node, rows: Rows, item: Value) -> Value:
@@ -150,10 +154,10 @@ def _item_alive(world: World, population: Population, node: ir.Node, rows: Rows,
 
 def _ray(world: World, population: Population, node: ir.Node, rows: Rows, dx: Value, dy: Value, dz: Value, reach: Value) -> Value:
     n = _size(rows)
-    ways = tuple(np.ascontiguousarray(_spread(v, rows), np.float32) for v in (dx, dy, dz, reach))
-    found = tuple(np.full(n, value) for value in NO_HIT)
-    _rays(world, population, node, rows, [(np.ones(n, np.bool_), ways, found)])
-    return found
+    rays = tuple(np.ascontiguousarray(_spread(v, rows), np.float32) for v in (dx, dy, dz, reach))
+    hits = tuple(np.full(n, value) for value in NO_HIT)
+    _rays(world, population, node, rows, [(np.ones(n, np.bool_), rays, hits)])
+    return hits
 
 
 def _rays(world: World, population: Population, node: ir.Node, rows: Rows, asks: Sequence[Ask]) -> None:
@@ -162,26 +166,26 @@ def _rays(world: World, population: Population, node: ir.Node, rows: Rows, asks:
     name, start = node.attrs[0], population.start
     place = start["position.x"][rows], start["position.y"][rows], start["position.z"][rows]
     clear = clearance(world, population, name)
-    levels = None if world.detail is None else world.detail.felt(world, population, name)
+    levels = None if world.detail is None else world.detail.find_levels(world, population, name)
     which = [(world.obstacles[name], clear[rows])]
     if levels is not None and world.detail is not None:
         far = np.float32(np.inf)
         boxes = np.where(levels == 1, world.detail.clearance(world, population, name), far)
         which = [(world.obstacles[name], np.where(levels == 0, clear, far)[rows]), (world.detail.boxes(name), boxes[rows])]
     for scene, near in which:
-        left = scene.felt((*place, near), asks, world.options.threads)
+        left = scene.feel_batch((*place, near), asks, world.options.threads)
         if left:
             _feel(scene, (*place, near), left, asks, world.options.threads)
 
 
 def _feel(
-    scene: Obstacle, places: Arrays, left: Sequence[tuple[int, NDArray[np.intp]]], asks: Sequence[Ask], threads: int
+    scene: Obstacle, columns: Arrays, left: Sequence[tuple[int, NDArray[np.intp]]], asks: Sequence[Ask], threads: int
 ) -> None:
-    """Do the same for the remaining feelers with a scene, all rays at once. `left` and `places`: as `Obstacle.felt` returns and
+    """Do the same for the remaining feelers with a scene, all rays at once. `left` and `columns`: as `Obstacle.felt` returns and
     takes them."""
-    *place, clear = places
+    *place, clear = columns
     row = np.concatenate([rows for _, rows in left])
-    whose = np.repeat([each for each, _ in left], [len(rows) for _, rows in left])
+    ask_numbers = np.repeat([each for each, _ in left], [len(rows) for _, rows in left])
     with np.errstate(all="ignore"):
         wx, wy, wz, far = (np.concatenate([asks[each][1][k].take(rows) for each, rows in left]) for k in range(4))
         size = np.sqrt((wx * wx + wy * wy) + wz * wz)
@@ -189,21 +193,21 @@ def _feel(
         sound = np.flatnonzero(near & (size > TINY) & (size < np.inf))
         if not len(sound):
             return
-        row, whose, size, far = (v.take(sound) for v in (row, whose, size, far))
+        row, ask_numbers, size, far = (v.take(sound) for v in (row, ask_numbers, size, far))
         x, y, z = (v.take(row) for v in place)
         wx, wy, wz = (v.take(sound) / size for v in (wx, wy, wz))
-        met = scene.feelers(x, y, z, wx, wy, wz, far, threads=threads)
+        hits = scene.feelers(x, y, z, wx, wy, wz, far, threads=threads)
     for each, _ in left:
-        own = (whose == each).nonzero()[0]
-        for into, values in zip(asks[each][2], (met.hit, met.t, met.nx, met.ny, met.nz), strict=True):
+        own = (ask_numbers == each).nonzero()[0]
+        for into, values in zip(asks[each][2], (hits.hit, hits.t, hits.nx, hits.ny, hits.nz), strict=True):
             into[row[own]] = values[own]
 
 
 def _obstacle_near(world: World, population: Population, node: ir.Node, rows: Rows, reach: Value) -> Value:
     reach = _spread(reach, rows)
     x, y, z = _place(world, population, rows)
-    found = world.obstacles[node.attrs[0]].near(x, y, z, reach, threads=world.options.threads)
-    return found.hit, found.t, found.nx, found.ny, found.nz
+    hits = world.obstacles[node.attrs[0]].near(x, y, z, reach, threads=world.options.threads)
+    return hits.hit, hits.t, hits.nx, hits.ny, hits.nz
 
 
 def _field_value(world: World, population: Population, node: ir.Node, rows: Rows) -> Value:
@@ -220,11 +224,11 @@ def _field_ahead(world: World, population: Population, node: ir.Node, rows: Rows
         sound = np.isfinite(ahead) & np.isfinite(turn)
         ahead, turn = np.where(sound, ahead, np.float32(0)), np.where(sound, turn, np.float32(0))
         left = vec.cross(up, heading)
-        way = vec.add(vec.scale(heading, elementary.cos(turn)), vec.scale(left, elementary.sin(turn)))
-        way = vec.scale(way, ahead)
+        displacement = vec.add(vec.scale(heading, elementary.cos(turn)), vec.scale(left, elementary.sin(turn)))
+        displacement = vec.scale(displacement, ahead)
         moved = world.ground.move(
             population.footing.take(rows),
-            vec.rows(way),
+            vec.rows(displacement),
             vec.rows(heading),
             vec.rows(up),
             population.start["size"][rows].astype(np.float64),
@@ -260,8 +264,8 @@ def _field_strongest(world: World, population: Population, node: ir.Node, rows: 
     field, count = node.attrs
     value, x, y, z = world.fields[field].strongest(population.cells[field][rows], int(count))
     nothing = ~(value > 0)
-    there = moving_geometry.from_rest(world, population, rows, (x, y, z))
-    return value, *(np.where(nothing, own, k) for own, k in zip(_place(world, population, rows), there, strict=True))
+    positions = moving_geometry.from_rest(world, population, rows, (x, y, z))
+    return value, *(np.where(nothing, own, k) for own, k in zip(_place(world, population, rows), positions, strict=True))
 
 
 def _field_gradient(world: World, population: Population, node: ir.Node, rows: Rows) -> Value:
@@ -270,8 +274,8 @@ def _field_gradient(world: World, population: Population, node: ir.Node, rows: R
 
 
 def _curve_closest(world: World, population: Population, node: ir.Node, rows: Rows) -> Value:
-    found = world.curves[node.attrs[0]].closest(*_place(world, population, rows))
-    return found.distance, found.px, found.py, found.pz, found.tx, found.ty, found.tz
+    nearest = world.curves[node.attrs[0]].closest(*_place(world, population, rows))
+    return nearest.distance, nearest.px, nearest.py, nearest.pz, nearest.tx, nearest.ty, nearest.tz
 
 
 def _flow_value(world: World, population: Population, node: ir.Node, rows: Rows) -> Value:
@@ -296,9 +300,9 @@ def _noise(world: World, population: Population, node: ir.Node, rows: Rows, *how
     """Return noise. `how`: scale, seed and period. The position is in the scene's own axes, the time is that of the step."""
     scale, seed, period = (np.float64(1) * _spread(each, rows) for each in how)
     place = np.stack(_place(world, population, rows)).astype(np.float64) + world.origin[:, None]
-    moment = np.full((1, _size(rows)), world.shown * world.dt)
+    step_time = np.full((1, _size(rows)), world.display_frame * world.dt)
     unit = np.stack((scale, scale, scale, period))
-    cells = np.concatenate((place, moment)) / np.where(unit > 0, unit, np.nan)
+    cells = np.concatenate((place, step_time)) / np.where(unit > 0, unit, np.nan)
     which = np.floor(np.where(np.abs(seed) < noise.FAR, seed, 0.0)).astype(np.int64)
     return noise.noise(cells, which).astype(np.float32)
 
@@ -327,8 +331,8 @@ def _clip_value(world: World, population: Population, node: ir.Node, rows: Rows,
 def _contact(world: World, population: Population, node: ir.Node, rows: Rows, *touched: Value) -> Value:
     """Return the new contact and the touched ids. `touched`: ids of the agents touched until now."""
     known = np.stack([np.asarray(_spread(each, rows), np.int64) for each in touched], axis=1)
-    whom, known = contact(world, population, node.attrs[0], _numbered(rows), known)
-    return whom, *(np.ascontiguousarray(ids) for ids in known.T)
+    contact_ids, known = contact(world, population, node.attrs[0], _numbered(rows), known)
+    return contact_ids, *(np.ascontiguousarray(ids) for ids in known.T)
 
 
 SENSES: Mapping[str, Callable[..., Value]] = {

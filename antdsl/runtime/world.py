@@ -64,14 +64,14 @@ class Options:
 
 @dataclass(slots=True, eq=False)
 class Items:
-    """Items of one name. `amounts` float64 are the conserved amounts; `seen` float32 is what agents read, as of the step's
-    start."""
+    """Items of one name. `amounts` float64 are the conserved amounts; `visible_values` float32 is what agents read, as of the
+    step's start."""
 
     name: str
     names: tuple[str, ...]
     position: NDArray[np.float64]
     amounts: dict[str, NDArray[np.float64]]
-    seen: dict[str, NDArray[np.float32]]
+    visible_values: dict[str, NDArray[np.float32]]
 
     def __len__(self) -> int:
         return len(self.names)
@@ -79,7 +79,7 @@ class Items:
     def show(self) -> None:
         """Make the current amounts visible to agents."""
         for name, amount in self.amounts.items():
-            np.copyto(self.seen[name], amount, casting="same_kind")
+            np.copyto(self.visible_values[name], amount, casting="same_kind")
 
 
 @dataclass(slots=True, eq=False)
@@ -130,12 +130,12 @@ class Population:
         zeros_of = self._temps[2]
         self._zeros.copy(list(map(self.now.__getitem__, zeros_of)), list(zeros_of.values()), threads)
 
-    def room(self, name: str, count: int, shape: tuple[int, ...], dtype: type[np.generic]) -> tuple[NDArray[Any], ...]:
+    def get_buffers(self, name: str, count: int, shape: tuple[int, ...], dtype: type[np.generic]) -> tuple[NDArray[Any], ...]:
         """Return `count` arrays for results of a step, retained for the next step, which overwrites them."""
-        found = self.rooms.get(name)
-        if found is None or found[0].shape != shape:
-            found = self.rooms[name] = tuple(np.empty(shape, dtype) for _ in range(count))
-        return found
+        arrays = self.rooms.get(name)
+        if arrays is None or arrays[0].shape != shape:
+            arrays = self.rooms[name] = tuple(np.empty(shape, dtype) for _ in range(count))
+        return arrays
 
     @property
     def name(self) -> str:
@@ -211,7 +211,7 @@ class Backend(Protocol):
     def run(self, world: World, population: Population, block: str, rows: NDArray[np.intp] | None = None) -> None:
         """Runs a block for some agents, all when None."""
 
-    def told(self) -> list[str]:
+    def messages(self) -> list[str]:
         """Return sentences for the user about what differs from the request; none of it changes a result."""
 
 
@@ -278,7 +278,7 @@ class World:
         return self.setting.dt
 
     @property
-    def shown(self) -> int:
+    def display_frame(self) -> int:
         """Return the frame that current computations belong to: that of the step in progress, else the current one."""
         return self.frame + self.stepping
 
@@ -288,19 +288,19 @@ class World:
 
 def stored_registers(plan: ir.SpeciesPlan) -> frozenset[str]:
     """Registers that some block or phase may change after birth."""
-    found = {*MOVED, PUSHED}
+    names = {*MOVED, PUSHED}
     pending: list[ir.Block] = [plan.decide, plan.act, plan.blend]
     while pending:
         for statement in pending.pop().statements:
             if isinstance(statement, ir.If):
                 pending.append(statement.then)
             elif isinstance(statement, ir.Store):
-                found.add(statement.register)
+                names.add(statement.register)
             elif isinstance(statement, ir.Claim):
-                found.update(name for name in (statement.won, statement.own) if name)
+                names.update(name for name in (statement.won, statement.own) if name)
             elif isinstance(statement, ir.Give | ir.Request) and statement.own is not None:
-                found.add(statement.own)
-    return frozenset(found)
+                names.add(statement.own)
+    return frozenset(names)
 
 
 def shares_start(plan: ir.SpeciesPlan, register: str, stored: frozenset[str]) -> bool:
@@ -335,7 +335,7 @@ def select_rows(population: Population, rows: NDArray[np.intp]) -> None:
     _remake(population, lambda array, _: roomy_rows(array, rows))
 
 
-def begin_anew(population: Population, threads: int, rows: NDArray[np.intp] | None = None) -> None:
+def publish_state(population: Population, threads: int, rows: NDArray[np.intp] | None = None) -> None:
     """Make the written state the one that all agents see; with `rows`, a permutation, in another order. Registers stay in their
     arrays, unless one array serves as both `start` and `now`."""
     start, now = population.start, population.now

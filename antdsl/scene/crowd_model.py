@@ -18,10 +18,10 @@ from antdsl.scene.values import (
     PositiveLength,
     PositiveSpeed,
     Word,
+    integer,
     number,
     one_of,
     positive,
-    whole,
     word_or,
     word_or_file,
 )
@@ -29,7 +29,7 @@ from antdsl.scene.values import (
 NONE = "none"  # of the layers of a part, the one that is none
 # Of the library of bodies.
 Body = Annotated[str, BeforeValidator(word_or_file(*BODY_WORDS))]
-Apart = Annotated[Quantity | str, BeforeValidator(word_or("even", positive(LENGTH)))]
+Spacing = Annotated[Quantity | str, BeforeValidator(word_or("even", positive(LENGTH)))]
 Along = Annotated[float, BeforeValidator(number(-1e6, 1e6))]
 By = Annotated[str, BeforeValidator(one_of("above", "area"))]
 
@@ -62,8 +62,8 @@ class Placement(Part):
     ) = None
     density: Name | None = None
     by: By = "above"
-    apart: Apart | None = None
-    seed: Annotated[int, BeforeValidator(whole(0, 2**64 - 1))] | None = None
+    apart: Spacing | None = None
+    seed: Annotated[int, BeforeValidator(integer(0, 2**64 - 1))] | None = None
 
 
 class Walk(Part):
@@ -94,7 +94,7 @@ class CrowdLine(Part):
 
     species: Name
     source: FilePath = Field(alias="from")
-    count: Annotated[int, BeforeValidator(whole(0, limits.AGENTS))]
+    count: Annotated[int, BeforeValidator(integer(0, limits.AGENTS))]
     place: Placement = Placement()
     walk: Walk | None = None
     body: Body | None = None

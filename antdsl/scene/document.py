@@ -92,9 +92,9 @@ def decode(data: bytes, name: str, what: str = "a scene") -> tuple[Source, Repor
     try:
         text = data.decode("utf-8")
     except UnicodeDecodeError as problem:
-        shown = data.decode("utf-8", "replace")
+        display_text = data.decode("utf-8", "replace")
         place = len(data[: problem.start].decode("utf-8"))
-        source = Source(name, shown)
+        source = Source(name, display_text)
         report.error("not-utf8", f"byte {problem.start} is not UTF-8", Span(source, place, place + 1), "save the file as UTF-8")
         return source, report
     source = Source(name, text)
@@ -153,9 +153,9 @@ class _Reader:
             root = self.consume(yaml, yaml.parse(self.source.text, Loader=loader))
         except yaml.YAMLError as problem:
             raise self.syntax(problem) from None
-        whole = Span(self.source, 0, min(len(self.source.text), 1))
+        start_span = Span(self.source, 0, min(len(self.source.text), 1))
         if root is None or (isinstance(root, ScalarNode) and not root.text):
-            raise self.refuse("empty-scene", "the scene is empty", whole, "begin with `antdsl: 1`")
+            raise self.refuse("empty-scene", "the scene is empty", start_span, "begin with `antdsl: 1`")
         if not isinstance(root, MappingNode):
             raise self.refuse("wrong-value", "a scene is a list of `key: value` lines", root.span, "begin with `antdsl: 1`")
         return root
@@ -212,11 +212,11 @@ class _Reader:
         """Return a more precise message for a line that is a YAML error, or None."""
         if str(getattr(problem, "context", "")).startswith("while parsing a flow"):
             return None
-        begun = getattr(problem, "context_mark", None)
-        if "could not find expected ':'" in (getattr(problem, "problem", None) or "") and begun is not None:
-            found = without_colon(self.source, self.offset(begun))
-            if found is not None:
-                return found
+        start_mark = getattr(problem, "context_mark", None)
+        if "could not find expected ':'" in (getattr(problem, "problem", None) or "") and start_mark is not None:
+            diagnostic = without_colon(self.source, self.offset(start_mark))
+            if diagnostic is not None:
+                return diagnostic
         return indented_otherwise(self.source, start) or without_colon(self.source, start)
 
     def consume(self, yaml: Any, events: Any) -> Node | None:
@@ -226,7 +226,7 @@ class _Reader:
         root: Node | None = None
         count = documents = 0
         for event in events:
-            done: Node | None = None
+            node: Node | None = None
             if isinstance(event, yaml.DocumentStartEvent):
                 documents += 1
                 if event.version or event.tags:
@@ -252,22 +252,22 @@ class _Reader:
                 if count > limits.YAML_NODES:
                     raise self.refuse("too-large", f"the scene has more than {limits.YAML_NODES:,} values", self.span(event))
             if isinstance(event, yaml.ScalarEvent):
-                done = ScalarNode(event.value, bool(event.style), self.span(event))
+                node = ScalarNode(event.value, bool(event.style), self.span(event))
                 odd = None if event.style or event.value.isascii() else _ODD_BLANK.search(event.value)
                 if odd is not None:
-                    self.odd_blank(_ODD_BLANK.search(self.source.text, done.span.start) or odd)
+                    self.odd_blank(_ODD_BLANK.search(self.source.text, node.span.start) or odd)
                     raise _Refused
             elif isinstance(event, yaml.CollectionStartEvent):
                 stack.append(_Open(self.offset(event.start_mark), isinstance(event, yaml.MappingStartEvent)))
                 if len(stack) > limits.YAML_DEPTH:
                     raise self.too_deep(self.span(event))
             elif isinstance(event, yaml.CollectionEndEvent):
-                done = self.close(stack.pop(), self.offset(event.end_mark))
-            if done is not None:
+                node = self.close(stack.pop(), self.offset(event.end_mark))
+            if node is not None:
                 if stack:
-                    stack[-1].items.append(done)
+                    stack[-1].items.append(node)
                 else:
-                    root = done
+                    root = node
         return root
 
     def close(self, opened: _Open, end: int) -> Node:

@@ -49,11 +49,11 @@ def absent_species(scene: Scene, program: Program, report: Report) -> None:
     if not absent:
         return
     every = list(parts(tuple(program.species.values())))
-    asked = {each.name for each in every if isinstance(each, Thing)} | {
+    requested_names = {each.name for each in every if isinstance(each, Thing)} | {
         of for each in every if isinstance(of := getattr(each, "of", None), str)
     }
     for name in absent:
-        if name in asked:
+        if name in requested_names:
             message = f"the program asks of the species `{name}`, which no line of the crowd brings"
             advice = f"add to `crowd`: `- {{species: {name}, from: {name}.ant, count: 0}}`"
             label = Label(program.world[name].span, "declared here")

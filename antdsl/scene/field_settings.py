@@ -97,7 +97,7 @@ def spreading(scene: Scene, program: Program, report: Report) -> None:
 
 def _base(scene: Scene, value: Expr | None) -> float | None:
     """Return a constant setting in base units; None if there is none, or if it depends on params."""
-    found = constant_behind(value) if value is not None else None
-    if found is None:
+    constant = constant_behind(value) if value is not None else None
+    if constant is None:
         return None
-    return float(found.number * scene.model.unit_mm**found.u * float(1 / scene.model.fps) ** found.step)
+    return float(constant.number * scene.model.unit_mm**constant.u * float(1 / scene.model.fps) ** constant.step)

@@ -15,7 +15,7 @@ _CODE = "scene-syntax"
 _KEY = re.compile(r"""("[^"]*"|'[^']*'|[^\s#:\[\]{},&*!|>%@`"'-](?:[^#:\[\]{},]*[^\s#:\[\]{},])?)\s*:(?=\s|$)""")
 _GLUED = re.compile(r"(?:- +)?([A-Za-z_][\w.]*):(?=[^\s:/\\])(.+)")
 _NO_COLON = re.compile(r"(?:- +)?([A-Za-z_][\w.]*)[ \t]+([^\s:#=].*|[=] ?.*)")
-_SHOWN = 40
+_DISPLAY_WIDTH = 40
 
 
 @dataclass(slots=True)
@@ -57,13 +57,18 @@ def indented_otherwise(source: Source, stop: int) -> Diagnostic | None:
         return None
     line, level, shift = odd.line, odd.level, odd.level.indent - odd.line.indent
     start, end, text = _shifted(source.text, line, shift)
-    before = level.line
-    if before is not None and _first_odd(source.text[:start] + text + source.text[end:]) and before.indent >= shift:
-        other = _shifted(source.text, before, -shift, alone=True)
+    previous_line = level.line
+    if previous_line is not None and _first_odd(source.text[:start] + text + source.text[end:]) and previous_line.indent >= shift:
+        other = _shifted(source.text, previous_line, -shift, alone=True)
         if _first_odd(source.text[: other[0]] + other[2] + source.text[other[1] :]) is None:
-            line, level, shift, (start, end, text) = before, _Level(before.indent - shift, before.dash, None), -shift, other
+            line, level, shift, (start, end, text) = (
+                previous_line,
+                _Level(previous_line.indent - shift, previous_line.dash, None),
+                -shift,
+                other,
+            )
     where = "at the left edge" if not level.indent else f"with {_blanks(level.indent)}"
-    beside = level.text if len(level.text) <= _SHOWN else level.text[: _SHOWN - 1] + "…"
+    beside = level.text if len(level.text) <= _DISPLAY_WIDTH else level.text[: _DISPLAY_WIDTH - 1] + "…"
     message = f"this line begins with {_blanks(line.indent)}, and those it stands among with {_blanks(level.indent)}"
     help = f"begin it {where}" + (f", below `{beside}`" if beside else "")
     span = Span(source, line.start, line.start + len(line.text))
@@ -76,9 +81,9 @@ def _first_odd(text: str, stop: int | None = None) -> _Odd | None:
     for line in _lines(text, len(text) if stop is None else stop):
         if "\t" in text[line.start - line.indent : line.start]:
             return None
-        wanted = _wanted(levels, line, opened)
-        if wanted is not None:
-            return _Odd(line, wanted)
+        expected_level = _find_level(levels, line, opened)
+        if expected_level is not None:
+            return _Odd(line, expected_level)
         while levels and (levels[-1].indent > line.indent or (levels[-1].indent == line.indent and levels[-1].dash > line.dash)):
             levels.pop()
         opened = _enter(levels, line)
@@ -105,7 +110,7 @@ def _enter(levels: list[_Level], line: _Line) -> bool:
     return key is not None and not text[key.end() :].strip()
 
 
-def _wanted(levels: list[_Level], line: _Line, opened: bool) -> _Level | None:
+def _find_level(levels: list[_Level], line: _Line, opened: bool) -> _Level | None:
     """Return the level to which this line should belong; None if its indent is right."""
     if not levels:
         return _Level(0, line.dash, None) if line.indent else None
@@ -173,19 +178,19 @@ def _lines(text: str, stop: int) -> Iterator[_Line]:
 
 def _read(line: str, depth: int, quote: str) -> tuple[str, int, str]:
     """Return a line without its comment, the number of open brackets at its end, and the open quote."""
-    before = " "
+    previous_character = " "
     for place, character in enumerate(line):
         if quote:
             quote = "" if character == quote else quote
-        elif character in "\"'" and before in " \t[{,:-":
+        elif character in "\"'" and previous_character in " \t[{,:-":
             quote = character
-        elif character == "#" and before in " \t":
+        elif character == "#" and previous_character in " \t":
             return line[:place], depth, quote
         elif character in "[{":
             depth += 1
         elif character in "]}":
             depth = max(0, depth - 1)
-        before = character
+        previous_character = character
     return line, depth, quote
 
 
@@ -198,12 +203,12 @@ def without_colon(source: Source, start: int) -> Diagnostic | None:
         bare = text.lstrip()
         begin = _start(source, number) + len(text) - len(bare)
         for pattern, lack in ((_GLUED, "no blank behind `{}:`"), (_NO_COLON, "no `:` behind `{}`")):
-            found = pattern.fullmatch(bare)
-            if found is None or _KEY.match(bare.removeprefix("- ").lstrip()):
+            match = pattern.fullmatch(bare)
+            if match is None or _KEY.match(bare.removeprefix("- ").lstrip()):
                 continue
-            better = f"{found[1]}: {found[2].lstrip('= ')}"
-            span = Span(source, begin + found.start(1), begin + len(bare.rstrip()))
-            return Diagnostic(_CODE, f"there is {lack.format(found[1])}", span, help=f"write `{better}`", fix=Fix(span, better))
+            better = f"{match[1]}: {match[2].lstrip('= ')}"
+            span = Span(source, begin + match.start(1), begin + len(bare.rstrip()))
+            return Diagnostic(_CODE, f"there is {lack.format(match[1])}", span, help=f"write `{better}`", fix=Fix(span, better))
     return None
 
 

@@ -23,10 +23,10 @@ def extended(
 
     A scene is searched next to the one that names it, so that the paths of both mean the same. `texts` override files on disk:
     scenes that are open in an editor."""
-    seen = [name.replace("\\", "/").rsplit("/", 1)[-1]]
+    scene_names = [name.replace("\\", "/").rsplit("/", 1)[-1]]
     behind = document
     while (node := behind.entries.get(KEY)) is not None:
-        other = _read(node, name, seen, roots, report, texts or {})
+        other = _read(node, name, scene_names, roots, report, texts or {})
         if other is None:
             return None
         document, behind = _over(document, other, _OWN), other
@@ -38,7 +38,7 @@ def extended(
 
 
 def _read(
-    node: Node, name: str, seen: list[str], roots: Roots, report: Report, texts: Mapping[Path, bytes]
+    node: Node, name: str, scene_names: list[str], roots: Roots, report: Report, texts: Mapping[Path, bytes]
 ) -> MappingNode | None:
     text = node.text.strip() if isinstance(node, ScalarNode) else ""
     if not text:
@@ -48,15 +48,15 @@ def _read(
         words = f"`{text[:80]}` does not lie beside this scene"
         report.error("bad-path", words, node.span, "put it into this folder and write its name alone")
         return None
-    if text in seen:
-        circle = " → ".join(f"`{each}`" for each in [*seen[seen.index(text) :], text])
+    if text in scene_names:
+        circle = " → ".join(f"`{each}`" for each in [*scene_names[scene_names.index(text) :], text])
         words = f"these scenes extend each other in a circle: {circle}"
         report.error("circle", words, node.span, "remove the inheritance from one of them")
         return None
-    if len(seen) > limits.USE_DEPTH:
+    if len(scene_names) > limits.USE_DEPTH:
         report.error("too-deep", f"more than {limits.USE_DEPTH} scenes extend each other", node.span, "join some of them")
         return None
-    seen.append(text)
+    scene_names.append(text)
     try:
         held = texts.get(roots.path(text))
         data = roots.read(text, limits.SCENE_BYTES) if held is None else held
@@ -73,13 +73,13 @@ def _read(
     return other
 
 
-def _over(own: MappingNode, other: MappingNode, apart: frozenset[str] = frozenset()) -> MappingNode:
-    """Merge mappings of both, key by key; anything else of `own` replaces the other's. Keys in `apart` are not merged."""
-    entries: dict[str, Node] = {key: value for key, value in other.entries.items() if key not in apart}
-    keys: dict[str, Span] = {key: span for key, span in other.keys.items() if key not in apart}
+def _over(own: MappingNode, other: MappingNode, excluded_keys: frozenset[str] = frozenset()) -> MappingNode:
+    """Merge mappings of both, key by key; anything else of `own` replaces the other's. Keys in `excluded_keys` are not merged."""
+    entries: dict[str, Node] = {key: value for key, value in other.entries.items() if key not in excluded_keys}
+    keys: dict[str, Span] = {key: span for key, span in other.keys.items() if key not in excluded_keys}
     for key, value in own.entries.items():
-        before = entries.get(key)
-        both = isinstance(value, MappingNode) and isinstance(before, MappingNode)
-        entries[key] = _over(value, before) if both else value  # type: ignore[arg-type]
+        other_value = entries.get(key)
+        both = isinstance(value, MappingNode) and isinstance(other_value, MappingNode)
+        entries[key] = _over(value, other_value) if both else value  # type: ignore[arg-type]
         keys[key] = own.keys[key]
     return MappingNode(entries, keys, own.span)

@@ -55,15 +55,15 @@ class Scene:
 
     def changed(self, **values: object) -> Scene:
         """Return the same scene with other values for some keys; None leaves a key unchanged."""
-        wanted = {name: value for name, value in values.items() if value is not None}
-        return replace(self, model=self.model.model_copy(update=wanted)) if wanted else self
+        changes = {name: value for name, value in values.items() if value is not None}
+        return replace(self, model=self.model.model_copy(update=changes)) if changes else self
 
     def digest(self) -> str:
         """Return a digest of everything in the scene that affects results. It leaves out the output and a camera that no level of
         detail uses. It also leaves out the last frame, so that a cache can be continued past it."""
         without = {"output", "frames", "extends"} | ({"camera"} if self.model.lod is None else set())
-        kept = sorted(set(type(self.model).model_fields) - without)
-        values = [(name, getattr(self.model, name)) for name in kept if name != "crowd"]
+        relevant_keys = sorted(set(type(self.model).model_fields) - without)
+        values = [(name, getattr(self.model, name)) for name in relevant_keys if name != "crowd"]
         relevant = [*values, *((line.species, line.count, line.place) for line in self.model.crowd), self.model.frames.first]
         return hashlib.blake2b(repr(relevant).encode(), digest_size=16).hexdigest()
 
@@ -117,7 +117,7 @@ def _outside(document: MappingNode) -> dict[Key, Diagnostic]:
     from antdsl.scene.model import SceneModel
 
     known = {field.alias or name for name, field in SceneModel.model_fields.items()}
-    found: dict[Key, Diagnostic] = {}
+    diagnostics: dict[Key, Diagnostic] = {}
     names = list(document.entries)
     for number, name in enumerate(names):
         node = document.entries[name]
@@ -127,33 +127,33 @@ def _outside(document: MappingNode) -> dict[Key, Diagnostic]:
         first, last = document.keys[inner[0]], document.entries[inner[-1]].span
         source = first.source
         text = source.text[first.start : last.end].replace("\n", "\n  ")
-        told = Diagnostic(
+        diagnostic = Diagnostic(
             "scene-syntax", f"`{inner[0]}` stands at the left edge, and `{name}:` has nothing below it", first,
             help=f"begin the lines below `{name}:` with 2 blanks",
             fix=Fix(Span(source, first.start, last.end), f"  {text}"),
         )  # fmt: skip
-        found |= dict.fromkeys((name, *inner), told)
-    return found
+        diagnostics |= dict.fromkeys((name, *inner), diagnostic)
+    return diagnostics
 
 
-def _single(found: list[Any]) -> list[Any]:
+def _single(errors: list[Any]) -> list[Any]:
     """Return the errors without those that only follow from a misspelled key. Such a key is unknown, and the intended one is
     missing. Where any key is allowed, its value has the wrong kind instead."""
-    missing = {tuple(error["loc"]) for error in found if error["type"] == "missing"}
-    kept: dict[tuple[Key, ...], Any] = {}
+    missing = {tuple(error["loc"]) for error in errors if error["type"] == "missing"}
+    errors_by_path: dict[tuple[Key, ...], Any] = {}
     meant: set[tuple[Key, ...]] = set()
-    for error in found:
+    for error in errors:
         path = tuple(error["loc"])
         for length in range(len(path), 0, -1):
             above, key = path[: length - 1], path[length - 1]
-            wanted = [each[-1] for each in missing if each[:-1] == above and each != path and isinstance(each[-1], str)]
-            near = nearest_name(key, wanted) if isinstance(key, str) and key not in wanted else None
+            missing_names = [each[-1] for each in missing if each[:-1] == above and each != path and isinstance(each[-1], str)]
+            near = nearest_name(key, missing_names) if isinstance(key, str) and key not in missing_names else None
             if near:
                 meant.add((*above, near))
                 error = {**error, "type": "extra_forbidden", "loc": path[:length], "meant": near}
                 break
-        kept.setdefault(tuple(error["loc"]), error)
-    return [error for path, error in kept.items() if error["type"] != "missing" or path not in meant]
+        errors_by_path.setdefault(tuple(error["loc"]), error)
+    return [error for path, error in errors_by_path.items() if error["type"] != "missing" or path not in meant]
 
 
 def _complain(report: Report, document: MappingNode, error: Any) -> None:
@@ -166,11 +166,11 @@ def _complain(report: Report, document: MappingNode, error: Any) -> None:
         if isinstance(path[-1], int):
             report.error("wrong-value", "this list has too few values", span, "a point is `[x, y, z]`")
             return
-        whole = f"`{walked[-1]}`" if walked and isinstance(walked[-1], str) else "the scene" if not walked else "this line"
+        owner_text = f"`{walked[-1]}`" if walked and isinstance(walked[-1], str) else "the scene" if not walked else "this line"
         if not walked:
             span = Span(span.source, span.start, min(span.start + 1, span.end))
         value = _USUAL.get(path[-1], "…")
-        report.error("missing-key", f"{whole} has no `{path[-1]}`", span, f"add `{path[-1]}: {value}`")
+        report.error("missing-key", f"{owner_text} has no `{path[-1]}`", span, f"add `{path[-1]}: {value}`")
         return
     bad_key = bool(path) and path[-1] == "[key]"
     span, _ = find(document, path[:-1] if bad_key else path, key=bad_key)
@@ -241,7 +241,7 @@ def _allowed(path: tuple[Key, ...]) -> list[str]:
 
     # the last word of the path (tags of the schema are among them) that tells which model complained
     models: dict[str, type[model.Part]] = {
-        **dict(model.HEADS.values()),
+        **dict(model.THING_MODELS.values()),
         "usd-camera": model.UsdCamera,
         "keys": model.PlaceKey,
         "place": model.Placement,
@@ -256,8 +256,8 @@ def _allowed(path: tuple[Key, ...]) -> list[str]:
     }
     for part in reversed(path[:-1]):
         if part in models:
-            found = models[str(part)]
+            model_class = models[str(part)]
             break
     else:
-        found = model.SceneModel
-    return [field.alias or name for name, field in found.model_fields.items()]
+        model_class = model.SceneModel
+    return [field.alias or name for name, field in model_class.model_fields.items()]

@@ -12,7 +12,7 @@ from antdsl.diagnostics import Label, Report
 from antdsl.diagnostics.suggestion import nearest_name
 from antdsl.program.model import Const, Dim, Kind, Program, WorldThing
 from antdsl.program.tables.things import KINDS_OF_THINGS
-from antdsl.program.tables.units import dimension_words, shown, unit_of, with_unit
+from antdsl.program.tables.units import dimension_words, format_number, unit_of, with_unit
 from antdsl.scene import field_settings
 from antdsl.scene.crowd_model import Placement, UsdPlaces
 from antdsl.scene.document import Key
@@ -61,25 +61,25 @@ def _file(scene: Scene, report: Report, text: str, *path: Key) -> None:
 
 
 def _world(scene: Scene, program: Program, report: Report) -> None:
-    given = scene.model.world
-    wanted = {name: thing for name, thing in program.world.items() if thing.kind in MODELS}
+    scene_things = scene.model.world
+    program_things = {name: thing for name, thing in program.world.items() if thing.kind in MODELS}
     misspelt = set()
-    for name in given:
-        if name not in wanted:
-            _unknown(report, scene, ("world", name), "no program has a thing of the world named", wanted)
-            misspelt.add(nearest_name(name, wanted))
-    for name, thing in wanted.items():
+    for name in scene_things:
+        if name not in program_things:
+            _unknown(report, scene, ("world", name), "no program has a thing of the world named", program_things)
+            misspelt.add(nearest_name(name, program_things))
+    for name, thing in program_things.items():
         row = KINDS_OF_THINGS[thing.kind]
-        if name not in given and name in misspelt:
+        if name not in scene_things and name in misspelt:
             continue  # one mistake, one complaint
-        if name not in given:
+        if name not in scene_things:
             place = scene.span("world", key=True) if "world" in scene.document.entries else scene.span("antdsl", key=True)
             lacks = "place" if thing.kind == "items" else "geometry"
             message = f"the program's {thing.kind} `{name}` has no {lacks} in the scene"
             advice = f"add `{name}: {row.scene}` to `world`"
             report.error("missing-thing", message, place, advice, labels=(Label(thing.span, "declared here"),))
-        elif not isinstance(given[name], MODELS[thing.kind]):
-            message = f"`{name}` is {row.given} in the program, and something else here"
+        elif not isinstance(scene_things[name], MODELS[thing.kind]):
+            message = f"`{name}` is {row.scene_form} in the program, and something else here"
             place, advice = scene.span("world", name), f"write `{name}: {row.scene}`"
             report.error("wrong-kind", message, place, advice, labels=(Label(thing.span, "declared here"),))
         else:
@@ -132,11 +132,11 @@ def _thing(scene: Scene, program: Program, report: Report, name: str, thing: Wor
 
 
 def _attributes(
-    scene: Scene, report: Report, name: str, thing: WorldThing, given: Mapping[str, Quantity], known: list[str], *path: Key
+    scene: Scene, report: Report, name: str, thing: WorldThing, quantities: Mapping[str, Quantity], known: list[str], *path: Key
 ) -> None:
     """Check values of items' attributes against the program's declarations."""
     declared = {a.name: a for a in thing.attributes}
-    for key, quantity in given.items():
+    for key, quantity in quantities.items():
         if key not in declared:
             _unknown(report, scene, (*path, key), f"`{name}` has no attribute", known)
         elif declared[key].type.kind is Kind.NUMBER:
@@ -158,10 +158,10 @@ def _only_items(scene: Scene, report: Report, name: str, thing: WorldThing, valu
     axes = value.turn if isinstance(value.turn, tuple) else ()
     for number, attribute in enumerate(axes or ([] if value.turn is None else [str(value.turn)])):
         place: tuple[Key, ...] = ("world", name, "turn", number) if axes else ("world", name, "turn")
-        wanted, words = (Dim(), "is a part of a direction, without unit") if axes else (Dim(angle=1), "is an angle")
+        expected_dimension, words = (Dim(), "is a part of a direction, without unit") if axes else (Dim(angle=1), "is an angle")
         if attribute not in declared:
             _unknown(report, scene, place, f"`{name}` has no attribute", declared, key=False)
-        elif declared[attribute].dim != wanted:
+        elif declared[attribute].dim != expected_dimension:
             has = dimension_words(declared[attribute].dim)
             message = f"what `turn` gives `{attribute}` {words}, and `{attribute}` of `{name}` is {has}"
             help = f"declare `{attribute} = 0`" if axes else f"declare `{attribute} = 0 deg`"
@@ -180,20 +180,23 @@ def _stays(scene: Scene, report: Report, name: str) -> None:
 def _dimension(scene: Scene, report: Report, value: Quantity, dim: Dim, name: str, *path: Key) -> bool:
     if value.dim == dim:
         return True
-    wanted = dimension_words(dim)
+    expected_words = dimension_words(dim)
     if value.bare:
         report.error(
             "missing-unit",
-            f"`{name}` is {wanted}, and `{value.text}` has no unit",
+            f"`{name}` is {expected_words}, and `{value.text}` has no unit",
             scene.span(*path),
             f"write `{with_unit(value.number, dim)}`",
         )
     elif not unit_of(dim):
         report.error(
-            "wrong-unit", f"`{name}` is {wanted}, not {dimension_words(value.dim)}", scene.span(*path), "write the number alone"
+            "wrong-unit",
+            f"`{name}` is {expected_words}, not {dimension_words(value.dim)}",
+            scene.span(*path),
+            "write the number alone",
         )
     else:
-        message = f"`{name}` is {wanted}, not {dimension_words(value.dim)}"
+        message = f"`{name}` is {expected_words}, not {dimension_words(value.dim)}"
         report.error("wrong-unit", message, scene.span(*path), f"write a value in `{unit_of(dim)}`")
     return False
 
@@ -216,15 +219,15 @@ def _crowd(scene: Scene, program: Program, report: Report) -> None:
 
 def item_names(scene: Scene) -> dict[str, tuple[str, str]]:
     """Return the names that `around` accepts, each as (items, item): an item, or items, of which the first counts."""
-    found: dict[str, tuple[str, str]] = {}
+    names: dict[str, tuple[str, str]] = {}
     for name, value in scene.model.world.items():
         if isinstance(value, dict) and value:
-            found[name] = (name, next(iter(value)))
+            names[name] = (name, next(iter(value)))
     for name, value in scene.model.world.items():
         if isinstance(value, dict):
             for item in value:
-                found.setdefault(item, (name, item))
-    return found
+                names.setdefault(item, (name, item))
+    return names
 
 
 def _around(scene: Scene, report: Report, around: object, radius: object, *path: Key) -> None:
@@ -251,12 +254,12 @@ def _placement(scene: Scene, program: Program, report: Report, place: Placement,
         maps = [name for name, thing in program.world.items() if thing.kind == "map"]
         if place.density not in maps:
             _unknown(report, scene, (*path, "density"), "no map is named", maps, key=False)
-    given = [name for name in ("points", "around", "radius", "density") if getattr(place, name) is not None]
-    for way in ("density", "inside"):
-        other = [name for name in given if name != way]
-        if getattr(place, way) is not None and other:
-            words = f"agents are placed by `{way}` or by `{other[0]}`, not both"
-            report.error("wrong-value", words, scene.span(*path, way, key=True), "keep one of them")
+    used_keys = [name for name in ("points", "around", "radius", "density") if getattr(place, name) is not None]
+    for method in ("density", "inside"):
+        other = [name for name in used_keys if name != method]
+        if getattr(place, method) is not None and other:
+            words = f"agents are placed by `{method}` or by `{other[0]}`, not both"
+            report.error("wrong-value", words, scene.span(*path, method, key=True), "keep one of them")
     if place.by == "area" and place.inside is not None:
         words = "agents that begin `inside` stand where lines from there end, and are not spread by area"
         report.error("wrong-value", words, scene.span(*path, "by", key=True), "leave `by` out")
@@ -265,8 +268,8 @@ def _placement(scene: Scene, program: Program, report: Report, place: Placement,
             words = f"agents at `points` stand where these are, and nothing is left for `{key}` to say"
             report.error("wrong-value", words, scene.span(*path, key, key=True), f"leave `{key}` out")
     if place.apart == "even" and (place.inside is not None or (place.density is not None and place.by != "area")):
-        what, more = ("inside", "") if place.inside is not None else ("by `density` from above", ", or add `by: area`")
-        advice = f"write a length, such as `apart: 10 mm`{more}"
+        what, addition = ("inside", "") if place.inside is not None else ("by `density` from above", ", or add `by: area`")
+        advice = f"write a length, such as `apart: 10 mm`{addition}"
         report.error("wrong-value", f"how much room there is {what} is not known", scene.span(*path, "apart", key=True), advice)
     _around(scene, report, place.around, place.radius, *path)
 
@@ -311,7 +314,7 @@ def check_param(scene: Scene, program: Program, report: Report, name: str, value
 def _bound(bound: Const | None, name: str) -> str:
     if bound is None:
         return "…"
-    return bound.span.text if 0 < len(bound.span.text) < 40 else shown(bound.number)
+    return bound.span.text if 0 < len(bound.span.text) < 40 else format_number(bound.number)
 
 
 def _fields(scene: Scene, program: Program, report: Report) -> None:

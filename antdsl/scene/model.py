@@ -27,10 +27,10 @@ from antdsl.scene.values import (
     PositiveLength,
     PositiveTime,
     Word,
+    integer,
     number,
     one_of,
     refuse,
-    whole,
 )
 from antdsl.scene.values import Part as Part
 from antdsl.scene.values import PlaceKey as PlaceKey
@@ -92,7 +92,7 @@ class HeightThing(Part):
     scale: Length
     offset: Length | None = None
     array: Name | None = None
-    layer: Annotated[int, BeforeValidator(whole(0, 100_000))] | None = None
+    layer: Annotated[int, BeforeValidator(integer(0, 100_000))] | None = None
     at: Point | None = None
     rotate: tuple[Angle, Angle, Angle] | None = None
     keys: Keys = {}
@@ -237,7 +237,7 @@ class ItemThing(Part):
 
 
 # The key that says what a thing of the world is, unless it is the name of an item.
-HEADS: dict[str, tuple[str, type[Part]]] = {
+THING_MODELS: dict[str, tuple[str, type[Part]]] = {
     "mesh": ("mesh-thing", MeshThing),
     "height": ("height-thing", HeightThing),
     "usd": ("usd-thing", UsdThing),
@@ -258,8 +258,10 @@ MODELS: dict[str, tuple[type, ...]] = {
 
 
 def _kind_of_thing(value: Any) -> str:
-    found = [word for word in HEADS if word in value and not isinstance(value[word], dict)] if isinstance(value, dict) else []
-    return HEADS[found[0]][0] if found else "items-thing"
+    keywords = (
+        [word for word in THING_MODELS if word in value and not isinstance(value[word], dict)] if isinstance(value, dict) else []
+    )
+    return THING_MODELS[keywords[0]][0] if keywords else "items-thing"
 
 
 def _items(value: Any) -> Any:
@@ -268,11 +270,13 @@ def _items(value: Any) -> Any:
             "a thing of the world is a mapping", "write `{mesh: ground.ply}`, `{curve: way.json}` or `{apple: {at: [0, 0, 0]}}`"
         )
     for word, inner in value.items():
-        near = None if isinstance(inner, dict) else nearest_name(str(word), HEADS)
+        near = None if isinstance(inner, dict) else nearest_name(str(word), THING_MODELS)
         if near:
             raise refuse(f"`{word}` says of no thing of the world what it is", f"did you mean `{near}`?")
     if value and not any(isinstance(inner, dict) for inner in value.values()):
-        raise refuse("no key says what this thing of the world is", "add one of " + ", ".join(f"`{word}`" for word in HEADS))
+        raise refuse(
+            "no key says what this thing of the world is", "add one of " + ", ".join(f"`{word}`" for word in THING_MODELS)
+        )
     return value
 
 
@@ -332,7 +336,7 @@ class LevelOfDetail(Part):
 
 class Output(Part):
     attributes: tuple[Annotated[str, BeforeValidator(lambda v: v)], ...] = DEFAULT_ATTRIBUTES
-    checkpoint: Annotated[int, BeforeValidator(whole(1, 100_000))] = 50
+    checkpoint: Annotated[int, BeforeValidator(integer(1, 100_000))] = 50
     events: tuple[Annotated[str, BeforeValidator(one_of("contact", "emit"))], ...] = ()
 
 
@@ -340,7 +344,7 @@ class StartFrom(Part):
     """A frame of another cache: its agents, items and fields are the start of this run."""
 
     cache: FilePath
-    frame: Annotated[int, BeforeValidator(whole(-limits.FRAMES, limits.FRAMES * 1000))]
+    frame: Annotated[int, BeforeValidator(integer(-limits.FRAMES, limits.FRAMES * 1000))]
 
 
 class SceneModel(Part):
@@ -350,12 +354,12 @@ class SceneModel(Part):
     up: Axis = "y"
     fps: Fps = Fraction(24)
     frames: Frames = FrameRange(1, 240)
-    preroll: Annotated[int, BeforeValidator(whole(0, limits.FRAMES))] = 0
-    substeps: Annotated[int, BeforeValidator(whole(1, 64))] = 1
+    preroll: Annotated[int, BeforeValidator(integer(0, limits.FRAMES))] = 0
+    substeps: Annotated[int, BeforeValidator(integer(1, 64))] = 1
     stick: Stick = "triangles"
     orient: Orient = "normal"
     contacts: Contacts = "off"
-    seed: Annotated[int, BeforeValidator(whole(0, 2**64 - 1))] = 0
+    seed: Annotated[int, BeforeValidator(integer(0, 2**64 - 1))] = 0
     start: StartFrom | None = Field(None, alias="from")
     world: dict[Name, WorldThing] = {}
     crowd: tuple[CrowdLine, ...] = ()

@@ -21,16 +21,16 @@ if TYPE_CHECKING:
 
 def overrides(scene: Scene, program: Program, params: Mapping[str, str], report: Report) -> Mapping[str, Quantity]:
     """Return the values of `--set NAME=TEXT`, by name, each checked against the scene and the program."""
-    found = {}
+    quantities = {}
     for name, text in params.items():
         try:
-            found[name] = parse_quantity(text)
+            quantities[name] = parse_quantity(text)
         except BadQuantity as why:
             usual = "write a number and a unit: `--set NAME=50mm`"
             report.error("wrong-value", f"`--set {name}={text}`: `{text}` {why}", None, why.help or usual)
             continue
-        check_param(scene, program, report, name, found[name])
-    return found
+        check_param(scene, program, report, name, quantities[name])
+    return quantities
 
 
 def with_changed_fields(program: Program, changes: Iterable[Changed]) -> Program:

@@ -42,13 +42,13 @@ class PathRefused(Exception):
 def sought() -> Iterator[Sought]:
     """Collect all files requested through this module while the context is active, in order, whether they exist or not. Each
     comes with the root below which no link is followed, None for a file that the user named."""
-    found: Sought = {}
-    before = _sought.set(found)
+    sought_files: Sought = {}
+    token = _sought.set(sought_files)
     try:
-        yield found
+        yield sought_files
     finally:
-        _sought.reset(before)
-        for path, root in found.items():
+        _sought.reset(token)
+        for path, root in sought_files.items():
             note(path, root)  # who looks from further outside sees them too
 
 
@@ -116,29 +116,29 @@ class Roots:
             raise _refuse(text, "has `#` outside of its file's name, or in two places", "write `walls.####.ply`")
         root, parts = self.locate(f"{named[1]}{0:0{len(named[2])}d}{named[3]}")
         start = parts[-1][: len(parts[-1]) - len(named[2]) - len(named[3])]
-        found = {}
+        files_by_frame = {}
         for name in _names_below(root, parts[:-1], text):
             digits = name[len(start) : len(name) - len(named[3])]
             fits = name.startswith(start) and name.endswith(named[3]) and re.fullmatch("-?[0-9]{1,9}", digits, re.ASCII)
             if fits and digits == f"{int(digits):0{len(named[2]) + (digits[0] == '-')}d}":
-                found[int(digits)] = f"{named[1]}{digits}{named[3]}"
-        if not found:
+                files_by_frame[int(digits)] = f"{named[1]}{digits}{named[3]}"
+        if not files_by_frame:
             raise PathRefused("no-such-file", f"there is no file `{text}`, and none with a number for `{named[2]}`", None)
-        return dict(sorted(found.items()))
+        return dict(sorted(files_by_frame.items()))
 
 
 def read_named(path: Path, cap: int) -> bytes:
     """Return the bytes of a file that the user named on the command line. Links are followed; anything but a regular file is an
     error."""
-    shown = str(path)
+    display_path = str(path)
     note(path, None)
     try:
         handle = open_regular(path)
     except FileNotFoundError:
-        raise PathRefused("no-such-file", f"there is no file `{shown}`") from None
+        raise PathRefused("no-such-file", f"there is no file `{display_path}`") from None
     except OSError as problem:
-        raise _refused(problem, shown) from None
-    return _bytes(handle, shown, cap)
+        raise _refused(problem, display_path) from None
+    return _bytes(handle, display_path, cap)
 
 
 def open_again(path: Path, root: Path | None) -> int:
@@ -154,23 +154,23 @@ def open_again(path: Path, root: Path | None) -> int:
 
 def note(path: Path, root: Path | None) -> None:
     """Record in an active `sought` that a file below a root is requested, or would be if its result were not cached."""
-    found = _sought.get()
-    if found is not None:
-        found[path] = root
+    sought_files = _sought.get()
+    if sought_files is not None:
+        sought_files[path] = root
 
 
-def _bytes(handle: int, shown: str, cap: int) -> bytes:
+def _bytes(handle: int, display_path: str, cap: int) -> bytes:
     """Return all bytes of an open regular file, and close the handle. More than `cap` bytes are an error, even if the file grows
     meanwhile."""
     try:
         return read_handle(handle, cap)
     except OSError as problem:
-        raise _refused(problem, shown) from None
+        raise _refused(problem, display_path) from None
 
 
 def _refuse(text: str, why: str, help: str | None) -> PathRefused:
-    shown = text if len(text) <= 80 else text[:77] + "…"
-    return PathRefused("bad-path", f"the path `{shown}` {why}", help)
+    display_text = text if len(text) <= 80 else text[:77] + "…"
+    return PathRefused("bad-path", f"the path `{display_text}` {why}", help)
 
 
 def _parts(text: str, rest: str) -> tuple[str, ...]:
@@ -203,53 +203,57 @@ def _check_signs(text: str, rest: str) -> None:
     """Raise PathRefused if a path has characters that are invalid in file names on some system, or that a shell would expand."""
     if rest.startswith("~"):
         raise _refuse(text, "begins with `~`, which is not expanded here", "write a path below the scene's folder, or `./~…`")
-    if found := _COUNTER.search(rest):
-        raise _refuse(text, f"has `{found[0]}`, which is not expanded here", "write `####` for the number of a frame")
-    if found := _VARIABLE.search(rest):
+    if match := _COUNTER.search(rest):
+        raise _refuse(text, f"has `{match[0]}`, which is not expanded here", "write `####` for the number of a frame")
+    if match := _VARIABLE.search(rest):
         help = "write the path below the scene's folder, or rename a file that is called so"
-        raise _refuse(text, f"has `{found[0]}`, and variables are not expanded here", help)
+        raise _refuse(text, f"has `{match[0]}`, and variables are not expanded here", help)
     for sign in rest:
-        shown = "a backtick" if sign == "`" else f"`{sign}`"
+        display_sign = "a backtick" if sign == "`" else f"`{sign}`"
         if sign in _WINDOWS_SIGNS:
-            raise _refuse(text, f"has {shown}, which no name on Windows can have", f"rename the file without {shown}")
+            raise _refuse(
+                text, f"has {display_sign}, which no name on Windows can have", f"rename the file without {display_sign}"
+            )
         if sign in _PATTERN_SIGNS:
-            help = f"name one file; rename a file that has {shown} in its name"
-            raise _refuse(text, f"has {shown}, and patterns are not expanded here", help)
+            help = f"name one file; rename a file that has {display_sign} in its name"
+            raise _refuse(text, f"has {display_sign}, and patterns are not expanded here", help)
         if unicodedata.category(sign) in _UNSEEN:
             raise _refuse(text, f"has a character that cannot be seen, U+{ord(sign):04X}", "rename the file without it")
 
 
-def _refused(problem: OSError, shown: str) -> PathRefused:
+def _refused(problem: OSError, display_path: str) -> PathRefused:
     """Why a file that is there is not read."""
     if isinstance(problem, NotRegular):
-        return PathRefused("not-a-file", f"`{shown}` is {problem.kind}", "name a file")
+        return PathRefused("not-a-file", f"`{display_path}` is {problem.kind}", "name a file")
     if isinstance(problem, TooLarge):
-        return PathRefused("too-large", f"`{shown}` has {problem.size:,} bytes, and more than {problem.cap:,} are not read")
-    return PathRefused("no-such-file", f"cannot open `{shown}`: {(problem.strerror or 'access denied').lower()}")
+        return PathRefused(
+            "too-large", f"`{display_path}` has {problem.size:,} bytes, and more than {problem.cap:,} are not read"
+        )
+    return PathRefused("no-such-file", f"cannot open `{display_path}`: {(problem.strerror or 'access denied').lower()}")
 
 
-def _open_below(root: Path, parts: tuple[str, ...], shown: str) -> int:
+def _open_below(root: Path, parts: tuple[str, ...], display_path: str) -> int:
     """Open a file below a root, with no link along the path. Without `dir_fd` (Windows), the resolved path is compared
     instead."""
     if os.open not in os.supports_dir_fd or not hasattr(os, "O_NOFOLLOW"):
-        whole = root.joinpath(*parts)
-        if not whole.resolve().is_relative_to(root.resolve()):
-            raise _refuse(shown, "leaves its folder by a link", None)
+        full_path = root.joinpath(*parts)
+        if not full_path.resolve().is_relative_to(root.resolve()):
+            raise _refuse(display_path, "leaves its folder by a link", None)
         try:
-            return open_regular(whole)
+            return open_regular(full_path)
         except OSError as problem:
-            raise _why_not(problem, os.fspath(whole.parent), shown) from None
-    folder = _folder_below(root, parts[:-1], shown)
+            raise _why_not(problem, os.fspath(full_path.parent), display_path) from None
+    folder = _folder_below(root, parts[:-1], display_path)
     try:
-        _exact_name(folder, parts[-1], shown)
+        _exact_name(folder, parts[-1], display_path)
         return open_regular(parts[-1], follow=False, folder=folder)
     except OSError as problem:
-        raise _why_not(problem, folder, shown) from None
+        raise _why_not(problem, folder, display_path) from None
     finally:
         os.close(folder)
 
 
-def _folder_below(root: Path, parts: tuple[str, ...], shown: str) -> int:
+def _folder_below(root: Path, parts: tuple[str, ...], display_path: str) -> int:
     """A folder below a root, opened part by part."""
     try:
         opened = [os.open(root, os.O_RDONLY | os.O_DIRECTORY)]
@@ -257,31 +261,31 @@ def _folder_below(root: Path, parts: tuple[str, ...], shown: str) -> int:
         raise PathRefused("no-such-file", f"there is no folder `{root}`") from None
     try:
         for part in parts:
-            _exact_name(opened[-1], part, shown)
+            _exact_name(opened[-1], part, display_path)
             opened.append(os.open(part, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW, dir_fd=opened[-1]))
         return opened.pop()
     except OSError as problem:
-        raise _why_not(problem, opened[-1], shown) from None
+        raise _why_not(problem, opened[-1], display_path) from None
     finally:
         for handle in opened:
             os.close(handle)
 
 
-def _names_below(root: Path, parts: tuple[str, ...], shown: str) -> list[str]:
+def _names_below(root: Path, parts: tuple[str, ...], display_path: str) -> list[str]:
     """The names in a folder below a root."""
     if os.open not in os.supports_dir_fd or not hasattr(os, "O_NOFOLLOW"):
-        whole = root.joinpath(*parts)
-        if not whole.resolve().is_relative_to(root.resolve()) or not whole.is_dir():
-            raise _refuse(shown, "leaves its folder by a link, or names none", None)
-        return os.listdir(whole)
-    folder = _folder_below(root, parts, shown)
+        full_path = root.joinpath(*parts)
+        if not full_path.resolve().is_relative_to(root.resolve()) or not full_path.is_dir():
+            raise _refuse(display_path, "leaves its folder by a link, or names none", None)
+        return os.listdir(full_path)
+    folder = _folder_below(root, parts, display_path)
     try:
         return os.listdir(folder)
     finally:
         os.close(folder)
 
 
-def _exact_name(folder: int, part: str, shown: str) -> None:
+def _exact_name(folder: int, part: str, display_path: str) -> None:
     """Raise an error for a name that differs by case from the file's own: only a case-insensitive file system would find it."""
     if _is_exact(folder, part):
         return
@@ -290,7 +294,7 @@ def _exact_name(folder: int, part: str, shown: str) -> None:
         alike = sorted(name for name in names if name.lower() == part.lower())
         if alike:
             raise PathRefused(
-                "no-such-file", f"there is no file `{shown}`; `{alike[0]}` differs by case only", f"write `{alike[0]}`"
+                "no-such-file", f"there is no file `{display_path}`; `{alike[0]}` differs by case only", f"write `{alike[0]}`"
             )
 
 
@@ -313,16 +317,16 @@ def _is_exact(folder: int, part: str) -> bool:
     return False
 
 
-def _why_not(problem: OSError, folder: int | str, shown: str) -> PathRefused:
+def _why_not(problem: OSError, folder: int | str, display_path: str) -> PathRefused:
     import errno
 
     if problem.errno == errno.ENOENT:
         from antdsl.diagnostics.suggestion import nearest_name
 
-        near = nearest_name(shown.rsplit("/", 1)[-1], sorted(os.listdir(folder))[:2000])
-        return PathRefused("no-such-file", f"there is no file `{shown}`", f"did you mean `{near}`?" if near else None)
+        near = nearest_name(display_path.rsplit("/", 1)[-1], sorted(os.listdir(folder))[:2000])
+        return PathRefused("no-such-file", f"there is no file `{display_path}`", f"did you mean `{near}`?" if near else None)
     if problem.errno in (errno.ELOOP, errno.ENOTDIR):
         return PathRefused(
-            "bad-path", f"a part of `{shown}` is a link or no folder; links are not followed", "name the file itself"
+            "bad-path", f"a part of `{display_path}` is a link or no folder; links are not followed", "name the file itself"
         )
-    return _refused(problem, shown)
+    return _refused(problem, display_path)

@@ -66,11 +66,11 @@ def parse_quantity(text: str) -> Quantity:
     """Return a number with its unit, `30 mm/s`. Raises BadQuantity with the reason."""
     text = text.strip()
     _refuse_comma(text)
-    found = _NUMBER.match(text)
-    if not found:
+    match = _NUMBER.match(text)
+    if not match:
         raise BadQuantity("is not a number with a unit")
-    number = parse_number(found[0])
-    unit = text[found.end() :].strip()
+    number = parse_number(match[0])
+    unit = text[match.end() :].strip()
     if not unit:
         return Quantity(number, Dim(), "", text)
     known = measure(unit)
@@ -84,9 +84,9 @@ def parse_quantity(text: str) -> Quantity:
 
 def _refuse_comma(text: str) -> None:
     """Report `0,4mm`, the notation of many countries, with the same message as for a program."""
-    found = WITH_COMMAS.match(text.lstrip("+-"))
-    if found is not None:
+    match = WITH_COMMAS.match(text.lstrip("+-"))
+    if match is not None:
         start = len(text) - len(text.lstrip("+-"))
-        told = comma_in_number(Span(Source("", text), start, start + found.end()))
-        better = None if told.fix is None else text[:start] + told.fix.text + text[start + found.end() :]
-        raise BadQuantity("has a comma in its number", f"write `{better}`" if better else told.help or "")
+        diagnostic = comma_in_number(Span(Source("", text), start, start + match.end()))
+        better = None if diagnostic.fix is None else text[:start] + diagnostic.fix.text + text[start + match.end() :]
+        raise BadQuantity("has a comma in its number", f"write `{better}`" if better else diagnostic.help or "")

@@ -54,7 +54,7 @@ class Target:
 
     `of`: the name of their curve or items; `which`: the index of a single item. They may move."""
 
-    places: NDArray[np.float64]
+    positions: NDArray[np.float64]
     radii: NDArray[np.float64]
     line: bool = False
     of: str = ""
@@ -68,7 +68,7 @@ class SpreadFlow:
 
     `cell`: distance (mm) of the points where it is computed; default: a share of the radius. `on`: surfaces; empty: all."""
 
-    way: Literal["tangent", "toward", "away"]
+    direction: Literal["tangent", "toward", "away"]
     target: Target
     radius: float | None = None
     falloff: str = "smooth"
@@ -96,7 +96,7 @@ class SolvedFlow:
 
     target: Target
     slope: float = 0.0
-    room: float = 0.0
+    clearance: float = 0.0
     maps: Mapping[str, float] = field(default_factory=dict)
     crowding: float = 0.0
     every: float = 1.0
@@ -128,7 +128,7 @@ class PlaceData:
     all).
 
     With `by_area`, agents stand on the front of faces of any direction, `radius` is that of a ball, and `points` move to the
-    nearest surface point. `apart`: the least distance (mm) of centres; inf: as large as there is room for all that start there
+    nearest surface point. `spacing`: the least distance (mm) of centres; inf: as large as there is room for all that start there
     with the same setting. `seed`: for the positions, instead of the setting's.
 
     `ahead` (n, 3): the unit vector of the heading at each point, nan for a drawn heading. `values` (n,): attributes of the agent
@@ -141,7 +141,7 @@ class PlaceData:
     points: NDArray[np.float64] | None = None
     density: str | None = None
     by_area: bool = False
-    apart: float = 0.0
+    spacing: float = 0.0
     seed: int | None = None
     ahead: NDArray[np.float64] | None = None
     values: Mapping[str, NDArray[np.float64]] = field(default_factory=dict)
@@ -305,20 +305,22 @@ class Setting:
     @property
     def begun_with(self) -> dict[str, frozenset[str]]:
         """Return, by species, the attributes that the places of its crowds set at birth."""
-        found: dict[str, frozenset[str]] = {}
+        attributes: dict[str, frozenset[str]] = {}
         for crowd in self.crowds:
-            found[crowd.species] = found.get(crowd.species, frozenset()) | crowd.place.values.keys()
-        return found
+            attributes[crowd.species] = attributes.get(crowd.species, frozenset()) | crowd.place.values.keys()
+        return attributes
 
 
 def world_origin(setting: Setting) -> NDArray[np.float64]:
     """The point (3), in mm, that positions are relative to: the middle of the world in whole metres, or 0 near the zero point."""
     meshes = setting.surfaces or {name: solid.mesh for name, solid in setting.solids.items()}
     meshes = meshes or setting.obstacles  # one more stone moves nothing
-    places = [m.vertices for m in meshes.values() if len(m.vertices)]
-    places = places or [np.array([i.position for items in setting.items.values() for i in items], np.float64).reshape(-1, 3)]
-    if not len(places[0]):
+    point_sets = [m.vertices for m in meshes.values() if len(m.vertices)]
+    point_sets = point_sets or [
+        np.array([i.position for items in setting.items.values() for i in items], np.float64).reshape(-1, 3)
+    ]
+    if not len(point_sets[0]):
         return np.zeros(3)
-    low, high = (np.min([p.min(axis=0) for p in places], axis=0), np.max([p.max(axis=0) for p in places], axis=0))
+    low, high = (np.min([p.min(axis=0) for p in point_sets], axis=0), np.max([p.max(axis=0) for p in point_sets], axis=0))
     middle = (low + high) / 2
     return np.round(middle / 1000.0) * 1000.0 if np.abs(middle).max() > _NEAR else np.zeros(3)

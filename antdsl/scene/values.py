@@ -31,27 +31,27 @@ def refuse(message: str, help: str = "") -> PydanticCustomError:
     return PydanticCustomError("scene", "{words}", {"words": message, "help": help})
 
 
-def _shown(value: Any) -> str:
+def _describe(value: Any) -> str:
     if isinstance(value, str):
         return f"`{value if len(value) <= 60 else value[:57] + '…'}`"
     return "a list" if isinstance(value, list) else "a mapping"
 
 
-def _text(value: Any, wanted: str) -> str:
+def _text(value: Any, expected: str) -> str:
     if not isinstance(value, str):
-        raise refuse(f"expected {wanted} here, not {_shown(value)}")
+        raise refuse(f"expected {expected} here, not {_describe(value)}")
     if not value.strip():
-        raise refuse(f"expected {wanted} here, but nothing is given")
+        raise refuse(f"expected {expected} here, but nothing is given")
     return value.strip()
 
 
-def whole(low: int, high: int) -> Callable[[Any], int]:
+def integer(low: int, high: int) -> Callable[[Any], int]:
     """Return a parser for a whole number in decimal digits between two bounds."""
 
     def read(value: Any) -> int:
         text = _text(value, "a whole number")
         if not re.fullmatch(r"[+-]?[0-9]{1,20}", text, re.ASCII):
-            raise refuse(f"{_shown(text)} is not a whole number", f"write digits only, {low} to {high}")
+            raise refuse(f"{_describe(text)} is not a whole number", f"write digits only, {low} to {high}")
         if not low <= int(text) <= high:
             raise refuse(f"`{int(text)}` is not between {low} and {high}")
         return int(text)
@@ -62,30 +62,30 @@ def whole(low: int, high: int) -> Callable[[Any], int]:
 def _quantity(value: Any) -> Quantity:
     text = _text(value, "a number")
     try:
-        found = parse_quantity(text)
+        quantity = parse_quantity(text)
     except BadQuantity as why:
         usual = "write a number and a unit of mm cm m u s min step rad deg turn mg g kg N uN %"
-        raise refuse(f"{_shown(text)} {why}", why.help or usual) from None
-    return _within(found, limits.SCENE_NUMBER)
+        raise refuse(f"{_describe(text)} {why}", why.help or usual) from None
+    return _within(quantity, limits.SCENE_NUMBER)
 
 
-def _within(found: Quantity, largest: float, unit: str = "") -> Quantity:
+def _within(quantity: Quantity, largest: float, unit: str = "") -> Quantity:
     """Return the same quantity. An error if it is larger than a scene may have."""
-    if abs(found.number) > largest:
-        raise refuse(f"{_shown(found.text)} is too large", f"write a number from {-largest:g} to {largest:g}{unit}")
-    return found
+    if abs(quantity.number) > largest:
+        raise refuse(f"{_describe(quantity.text)} is too large", f"write a number from {-largest:g} to {largest:g}{unit}")
+    return quantity
 
 
 def of_dim(dim: Dim) -> Callable[[Any], Quantity]:
     """Return a parser for quantities of one dimension. A bare number is in the scene's own unit (degrees for an angle)."""
 
     def read(value: Any) -> Quantity:
-        found = _quantity(value)
-        if found.bare and dim == ANGLE:
-            found = parse_quantity(f"{found.text} deg")
-        if found.dim != dim and not found.bare:
-            raise refuse(f"`{found.text}` is not {dimension_words(dim)}", f"write `{with_unit(50, dim)}`")
-        return _within(found, LARGEST[dim], f" {BASE_UNITS[dim]}")
+        quantity = _quantity(value)
+        if quantity.bare and dim == ANGLE:
+            quantity = parse_quantity(f"{quantity.text} deg")
+        if quantity.dim != dim and not quantity.bare:
+            raise refuse(f"`{quantity.text}` is not {dimension_words(dim)}", f"write `{with_unit(50, dim)}`")
+        return _within(quantity, LARGEST[dim], f" {BASE_UNITS[dim]}")
 
     return read
 
@@ -95,12 +95,12 @@ def positive(dim: Dim) -> Callable[[Any], Quantity]:
     inner = of_dim(dim)
 
     def read(value: Any) -> Quantity:
-        found = inner(value)
-        if found.number <= 0:
-            raise refuse(f"`{found.text}` is not above zero")
-        if found.number < limits.SCENE_LEAST:
-            raise refuse(f"`{found.text}` is too small", f"write at least {limits.SCENE_LEAST:g} {BASE_UNITS[dim]}")
-        return found
+        quantity = inner(value)
+        if quantity.number <= 0:
+            raise refuse(f"`{quantity.text}` is not above zero")
+        if quantity.number < limits.SCENE_LEAST:
+            raise refuse(f"`{quantity.text}` is too small", f"write at least {limits.SCENE_LEAST:g} {BASE_UNITS[dim]}")
+        return quantity
 
     return read
 
@@ -111,12 +111,12 @@ def number(low: float, high: float) -> Callable[[Any], float]:
     def read(value: Any) -> float:
         text = _text(value, "a number")
         try:
-            found = parse_number(text)
+            parsed_number = parse_number(text)
         except BadQuantity as why:
-            raise refuse(f"{_shown(text)} {why}", why.help) from None
-        if not low <= found <= high:
+            raise refuse(f"{_describe(text)} {why}", why.help) from None
+        if not low <= parsed_number <= high:
             raise refuse(f"`{text}` is not between {low:g} and {high:g}")
-        return found
+        return parsed_number
 
     return read
 
@@ -124,7 +124,7 @@ def number(low: float, high: float) -> Callable[[Any], float]:
 def _name(value: Any) -> str:
     text = _text(value, "a name")
     if not _NAME.fullmatch(text) or len(text) > limits.NAME_CHARACTERS:
-        raise refuse(f"{_shown(text)} is not a name", "names have letters, digits and `_`, and begin with a letter")
+        raise refuse(f"{_describe(text)} is not a name", "names have letters, digits and `_`, and begin with a letter")
     return text
 
 
@@ -138,7 +138,7 @@ def one_of(*words: str) -> Callable[[Any], str]:
         if text not in words:
             near = nearest_name(text, words)
             listed = ", ".join(f"`{w}`" for w in words)
-            raise refuse(f"{_shown(text)} is none of {listed}", f"did you mean `{near}`?" if near else "write one of them")
+            raise refuse(f"{_describe(text)} is none of {listed}", f"did you mean `{near}`?" if near else "write one of them")
         return text
 
     return read
@@ -147,11 +147,11 @@ def one_of(*words: str) -> Callable[[Any], str]:
 def _fps(value: Any) -> Fraction:
     text = _text(value, "a number of frames a second")
     if not re.fullmatch(r"[0-9]{1,7}(\.[0-9]{1,6}|/[0-9]{1,7})?", text, re.ASCII) or text.endswith("/0"):
-        raise refuse(f"{_shown(text)} is not a number of frames a second", "write `24`, `23.976` or `24000/1001`")
+        raise refuse(f"{_describe(text)} is not a number of frames a second", "write `24`, `23.976` or `24000/1001`")
     try:
         rate = Fraction(text)
     except ZeroDivisionError:
-        raise refuse(f"{_shown(text)} divides by zero", "write `24000/1001`") from None
+        raise refuse(f"{_describe(text)} divides by zero", "write `24000/1001`") from None
     # what people write as 23.976 or 29.97 is a rate of the form N·1000/1001
     for nominal in (24, 30, 48, 60, 120):
         exact = Fraction(nominal * 1000, 1001)
@@ -175,13 +175,13 @@ _OTHER_RANGE = re.compile(r"\[?\s*(-?[0-9]{1,9})\s*(?:-|–|—|…|\.{3}|:|,|;|
 
 def parse_frames(text: str) -> FrameRange:
     """Parse `1001..1720` or one frame. Raises BadQuantity with the reason."""
-    found = re.fullmatch(r"(-?[0-9]{1,9})(?:\s*\.\.\s*(-?[0-9]{1,9}))?", text.strip(), re.ASCII)
-    if not found:
+    match = re.fullmatch(r"(-?[0-9]{1,9})(?:\s*\.\.\s*(-?[0-9]{1,9}))?", text.strip(), re.ASCII)
+    if not match:
         other = _OTHER_RANGE.fullmatch(text.strip())
         ends = sorted((int(other[1]), int(other[2]))) if other else []
         raise BadQuantity("is not a range of frames", f"write `{ends[0]}..{ends[1]}`" if ends else "")
-    first = int(found[1])
-    last = int(found[2]) if found[2] is not None else first
+    first = int(match[1])
+    last = int(match[2]) if match[2] is not None else first
     if last < first:
         raise BadQuantity("ends before it begins")
     if last - first >= limits.FRAMES:
@@ -196,13 +196,13 @@ def _frames(value: Any) -> FrameRange:
         return parse_frames(text)
     except BadQuantity as why:
         usual = "write the first and the last with two dots between: `1001..1240`"
-        raise refuse(f"{_shown(text)} {why}", why.help or usual) from None
+        raise refuse(f"{_describe(text)} {why}", why.help or usual) from None
 
 
 def _path(value: Any) -> str:
     text = _text(value, "the path of a file")
     if text != value:
-        raise refuse(f"the path {_shown(value)} begins or ends with a blank", f"write `{text}`")
+        raise refuse(f"the path {_describe(value)} begins or ends with a blank", f"write `{text}`")
     return text
 
 
@@ -218,7 +218,7 @@ def word_or_file(*words: str) -> Callable[[Any], str]:
 
             near, listed = nearest_name(text, words), ", ".join(f"`{each}`" for each in words)
             help = f"did you mean `{near}`?" if near else f"write one of them, or a file such as `{text[:40]}.glb`"
-            raise refuse(f"{_shown(text)} is none of {listed}, and no file", help)
+            raise refuse(f"{_describe(text)} is none of {listed}, and no file", help)
         return text
 
     return read
@@ -227,7 +227,7 @@ def word_or_file(*words: str) -> Callable[[Any], str]:
 def _word(value: Any) -> str:
     text = _text(value, "a word")
     if len(text) > _WORD_CHARACTERS:
-        raise refuse(f"{_shown(text)} is too long")
+        raise refuse(f"{_describe(text)} is too long")
     return text
 
 
@@ -269,7 +269,7 @@ class PlaceKey(Part):
     rotate: tuple[Angle, Angle, Angle] | None = None
 
 
-Keys = dict[Annotated[int, BeforeValidator(whole(-limits.FRAMES, limits.FRAMES * 1000))], PlaceKey]
+Keys = dict[Annotated[int, BeforeValidator(integer(-limits.FRAMES, limits.FRAMES * 1000))], PlaceKey]
 
 
 def _point_or_name(value: Any) -> str:

@@ -13,14 +13,27 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.machine_code.kernels import BOOL, F32, F64, I32, I64, Array1, Array2, consecutive, independent, inlined, kernel, whole
+from antdsl.machine_code.kernels import (
+    BOOL,
+    F32,
+    F64,
+    I32,
+    I64,
+    Array1,
+    Array2,
+    consecutive,
+    independent,
+    inlined,
+    kernel,
+    nearest_integer,
+)
 from antdsl.machine_code.kinds import WIDTH
 from antdsl.numerics import parallel
 from antdsl.numerics.host import cores
 from antdsl.numerics.sorting import place_among, stable_order
 
 Floats = NDArray[np.float32]
-Places = tuple[Floats, Floats, Floats]
+Positions = tuple[Floats, Floats, Floats]
 Columns = tuple[Array1[F32], Array1[F32], Array1[F32]]
 AnyColumns = tuple[Array1[Any], Array1[Any], Array1[Any]]
 Four = tuple[Array1[F32], Array1[F32], Array1[F32], Array1[F32]]
@@ -81,25 +94,25 @@ class Shape:
         """Return the shape with a single layer of cells along the shortest axis."""
         return Shape(self.axes, self.low, self.extent, [*self.width[:2], 2 * self.extent[2]], [*self.size[:2], 1])
 
-    def is_sheet(self, places: Places) -> bool:
+    def is_sheet(self, positions: Positions) -> bool:
         """Return whether a crowd at these positions (float32[n] mm), as on ground, has so few agents or layers above each other
         that they need no separate cells. In a widely scattered crowd, columns may share a number."""
         if not self.extent[2] > 0:
             return False  # one layer of cells already
-        seen = np.zeros((2, max(1 << 16, 64 * len(places[0]))), np.bool_)
-        return bool(_is_sheet(along(self.axes, places), tuple(self.low), self.inverse, tuple(self.size), seen))
+        occupied = np.zeros((2, max(1 << 16, 64 * len(positions[0]))), np.bool_)
+        return bool(_is_sheet(along(self.axes, positions), tuple(self.low), self.inverse, tuple(self.size), occupied))
 
 
-def along(axes: tuple[int, ...], places: tuple[Any, ...]) -> tuple[Any, ...]:
+def along(axes: tuple[int, ...], positions: tuple[Any, ...]) -> tuple[Any, ...]:
     """Return arrays of x, y and z in the order fast, middle and slow axis."""
     a, b, c = axes
-    return places[a], places[b], places[c]
+    return positions[a], positions[b], positions[c]
 
 
-def box_around(places: Places) -> tuple[list[float], list[float]]:
+def box_around(positions: Positions) -> tuple[list[float], list[float]]:
     """Return the corners of the bounding box of all finite positions (float32[n] mm); zeros if there are none."""
     ends = np.empty((2, 3))
-    _box(*places, np.empty((6, WIDTH), np.float32), ends)
+    _box(*positions, np.empty((6, WIDTH), np.float32), ends)
     low, high = ends.tolist()
     return low, high
 
@@ -135,13 +148,13 @@ class CellOrder:
     def rows(self) -> NDArray[np.int32]:
         return self._places.view(np.int32)[: self.count, 3]
 
-    def sort(self, shape: Shape, places: Places, order: NDArray[np.int64] = NO_ORDER) -> None:
+    def sort(self, shape: Shape, positions: Positions, order: NDArray[np.int64] = NO_ORDER) -> None:
         """Sort agents at positions (float32[n] mm) into cells. Within a cell they are in row order, or in an `order` of all
         agents."""
         if shape is not self.shape:
             self._take_shape(shape)
         counts, keys = self._counts, self._keys
-        in_chunks(partial(_count, along(shape.axes, places), *self._cells, order, keys, counts), self._chunks, self.threads)
+        in_chunks(partial(_count, along(shape.axes, positions), *self._cells, order, keys, counts), self._chunks, self.threads)
         if counts.size:
             add_up(counts, shape.cells)
         else:
@@ -149,7 +162,7 @@ class CellOrder:
             order = order.take(by_cell) if order.size else by_cell
             self.keys = keys.take(by_cell)
             self.tables = {**self.tables, "keys": self.keys}
-        in_chunks(partial(_put, places, order, keys, counts, *self._put), self._chunks, self.threads)
+        in_chunks(partial(_put, positions, order, keys, counts, *self._put), self._chunks, self.threads)
         parallel.in_parts(partial(_columns, self._flat, *self.columns), self.count, self.threads, parallel.LIGHT)
 
     def _take_shape(self, shape: Shape) -> None:
@@ -208,8 +221,8 @@ def _higher(high: F32, place: F32, good: BOOL) -> F32:
 
 
 @kernel
-def _is_sheet(along: Columns, low: Three, inverse: Three, size: Sizes, seen: Array2[BOOL]) -> BOOL:
-    """Return whether the columns of cells have few agents or few layers. `seen` (2, k): which columns and which cells have
+def _is_sheet(along: Columns, low: Three, inverse: Three, size: Sizes, occupied: Array2[BOOL]) -> BOOL:
+    """Return whether the columns of cells have few agents or few layers. `occupied` (2, k): which columns and which cells have
     any."""
     agents, columns, cells = 0, 0, 0
     for row in range(along[0].size):
@@ -217,14 +230,14 @@ def _is_sheet(along: Columns, low: Three, inverse: Three, size: Sizes, seen: Arr
         if not (np.isfinite(a) and np.isfinite(b) and np.isfinite(c)):
             continue
         agents += 1
-        column = whole(_cell(b, low[1], inverse[1], size[1])) * ((size[0] >> 2) + 1) + (
-            whole(_cell(a, low[0], inverse[0], size[0])) >> 2
+        column = nearest_integer(_cell(b, low[1], inverse[1], size[1])) * ((size[0] >> 2) + 1) + (
+            nearest_integer(_cell(a, low[0], inverse[0], size[0])) >> 2
         )
-        cell = column * size[2] + whole(_cell(c, low[2], inverse[2], size[2]))
-        column, cell = column % seen.shape[1], cell % seen.shape[1]
-        columns += not seen[0, column]
-        cells += not seen[1, cell]
-        seen[0, column], seen[1, cell] = True, True
+        cell = column * size[2] + nearest_integer(_cell(c, low[2], inverse[2], size[2]))
+        column, cell = column % occupied.shape[1], cell % occupied.shape[1]
+        columns += not occupied[0, column]
+        cells += not occupied[1, cell]
+        occupied[0, column], occupied[1, cell] = True, True
     return agents <= _AGENTS_PER_COLUMN * columns or cells <= _LAYERS_PER_COLUMN * columns
 
 
@@ -239,7 +252,7 @@ def number_of_cell(along: AnyColumns, row: I64, low: Three, inverse: Three, size
     """Return the index of an agent's cell; one past the last cell for an agent without a finite position."""
     fast, middle, slow = along[0][row], along[1][row], along[2][row]
     line = _cell(slow, low[2], inverse[2], size[2]) * np.float64(size[1]) + _cell(middle, low[1], inverse[1], size[1])
-    key = whole(line) * size[0] + whole(_cell(fast, low[0], inverse[0], size[0]))
+    key = nearest_integer(line) * size[0] + nearest_integer(_cell(fast, low[0], inverse[0], size[0]))
     good = np.isfinite(fast) & np.isfinite(middle) & np.isfinite(slow)
     return key if good else size[0] * size[1] * size[2]
 
@@ -318,7 +331,7 @@ def position_of(counts: Array2[I32], chunk: I64, k: I64, key: I64) -> I64:
 
 @kernel
 def _put(
-    places: Columns, order: Array1[I64], keys: Array1[I64], counts: Array2[I32], ordered: Array1[F32], rows: Array1[I32],
+    positions: Columns, order: Array1[I64], keys: Array1[I64], counts: Array2[I32], ordered: Array1[F32], rows: Array1[I32],
     at: Array1[I32], begin: I64, end: I64,
 ) -> None:  # fmt: skip
     """Write x, y, z and the row of each agent at its position. `ordered` and `rows` are views of one array, in groups of four."""
@@ -327,8 +340,8 @@ def _put(
         for k in range(first, last):
             row = order[k] if order.size > 0 else k
             position = position_of(counts, chunk, k, keys[k])
-            ordered[4 * position], ordered[4 * position + 1] = places[0][row], places[1][row]
-            ordered[4 * position + 2], rows[4 * position + 3] = places[2][row], row
+            ordered[4 * position], ordered[4 * position + 1] = positions[0][row], positions[1][row]
+            ordered[4 * position + 2], rows[4 * position + 3] = positions[2][row], row
             at[row] = position
 
 
@@ -352,7 +365,7 @@ def in_order(at: Array1[I32], registers: Four, ordered: Array1[F32], begin: I64,
 def agents_before(starts: Array1[I32], keys: Array1[I64], key: I64) -> I64:
     """Return how many sorted agents are in cells before `key`; by bisection of their cells if there is no table."""
     if starts.size > 0:
-        found = starts[key]
+        count = starts[key]
     else:
-        found = place_among(keys, key, 0, keys.size)
-    return found
+        count = place_among(keys, key, 0, keys.size)
+    return count

@@ -37,15 +37,16 @@ _LEAST = 1e-30
 class Others:
     """Neighbours of n agents, at most m each, nearest first: float64[n,m] in the plane of the requesting agent.
 
-    `x y`: other minus own position; `vx vy`: own minus other velocity; `room`: the sum of both radii (mm, mm/s). `there`: which
-    entries are valid. `first`: the two are at one position and the requesting one comes first by species and id."""
+    `x y`: other minus own position; `vx vy`: own minus other velocity; `radius_sum`: the sum of both radii (mm, mm/s).
+    `is_present`: which entries are valid. `first`: the two are at one position and the requesting one comes first by species and
+    id."""
 
     x: Floats
     y: Floats
     vx: Floats
     vy: Floats
-    room: Floats
-    there: Flags
+    radius_sum: Floats
+    is_present: Flags
     first: Flags
 
 
@@ -56,15 +57,15 @@ def clear_velocities(
     """Return velocities (mm/s, float64[n] along both axes of each agent's plane) nearest to a `wish`, no faster than `fastest`.
     They avoid all hits within `horizon` s if the others do their half. Agents that overlap separate within `dt` s."""
     o = others
-    columns = parallel.plain(o.x, o.y, o.vx, o.vy, o.room, o.there, o.first)
+    columns = parallel.plain(o.x, o.y, o.vx, o.vy, o.radius_sum, o.is_present, o.first)
     own, wished, (most, until) = (parallel.plain(*each) for each in (velocity, wish, (fastest, horizon)))
-    found = parallel.in_parts(lambda *part: _some(columns, own, wished, most, until, dt, *part), len(fastest), threads)
-    if len(found) == 1:
-        return found[0]
-    return np.concatenate([each[0] for each in found]), np.concatenate([each[1] for each in found])
+    parts = parallel.in_parts(lambda *part: _clear_part(columns, own, wished, most, until, dt, *part), len(fastest), threads)
+    if len(parts) == 1:
+        return parts[0]
+    return np.concatenate([each[0] for each in parts]), np.concatenate([each[1] for each in parts])
 
 
-def _some(
+def _clear_part(
     others: tuple[NDArray[Any], ...], velocity: tuple[Floats, ...], wish: tuple[Floats, ...], fastest: Floats, horizon: Floats,
     dt: float, begin: int, end: int,
 ) -> tuple[Floats, Floats]:  # fmt: skip
@@ -102,24 +103,24 @@ def _clear(
 @inlined
 def _border(others: Any, a: I64, c: I64, own_x: F64, own_y: F64, horizon: F64, dt: F64, borders: Lines) -> None:
     """Set the half-plane that neighbour c of agent a allows."""
-    xs, ys, vxs, vys, rooms, there, first = others
+    xs, ys, vxs, vys, rooms, is_present, first = others
     px, py, dx, dy, sound = borders
     x, y, vx, vy, r = xs[a, c], ys[a, c], vxs[a, c], vys[a, c], rooms[a, c]
-    square, room = x * x + y * y, r * r
-    apart = square > room
-    seconds = horizon if apart else dt
+    square, square_radius = x * x + y * y, r * r
+    is_separate = square > square_radius
+    seconds = horizon if is_separate else dt
     wx, wy = vx - x / seconds, vy - y / seconds
     size = math.sqrt(wx * wx + wy * wy)
     ux, uy = 1.0 if first[a, c] else -1.0, 0.0
     if size > _LEAST:
         ux, uy = wx / size, wy / size
     along = wx * x + wy * y
-    if not apart or (along < 0.0 and along * along > room * (size * size)):
+    if not is_separate or (along < 0.0 and along * along > square_radius * (size * size)):
         change = r / seconds - size
         dx[c], dy[c] = uy, -ux
         cx, cy = change * ux, change * uy
     else:
-        leg = math.sqrt(max(square - room, 0.0))
+        leg = math.sqrt(max(square - square_radius, 0.0))
         side = 1.0 if x * wy - y * wx > 0.0 else -1.0
         over = square if square > _LEAST else 1.0
         lx, ly = side * (x * leg - side * (y * r)) / over, side * (side * (x * r) + y * leg) / over
@@ -127,7 +128,7 @@ def _border(others: Any, a: I64, c: I64, own_x: F64, own_y: F64, horizon: F64, d
         dx[c], dy[c] = lx, ly
         cx, cy = reach * lx - vx, reach * ly - vy
     px[c], py[c] = own_x + 0.5 * cx, own_y + 0.5 * cy
-    good = there[a, c] and math.isfinite(px[c]) and math.isfinite(py[c]) and math.isfinite(dx[c]) and math.isfinite(dy[c])
+    good = is_present[a, c] and math.isfinite(px[c]) and math.isfinite(py[c]) and math.isfinite(dx[c]) and math.isfinite(dy[c])
     sound[c] = 1 if good else 0
 
 
@@ -142,19 +143,19 @@ def _beyond(borders: Lines, k: I64, x: F64, y: F64) -> F64:
 def _nearest(borders: Lines, most: I64, fastest: F64, wx: F64, wy: F64, x: F64, y: F64, along: BOOL) -> tuple[F64, F64, I64]:
     """Return the allowed point nearest to the wish, starting from (x, y) in the circle; with `along`, the farthest in its
     direction. Also return the index of the border that left no allowed point."""
-    px, py, dx, dy, there = borders
+    px, py, dx, dy, is_sound = borders
     bx, by = x, y
     for k in range(most):
-        if there[k] == 0 or not _beyond(borders, k, bx, by) > 0.0:
+        if is_sound[k] == 0 or not _beyond(borders, k, bx, by) > 0.0:
             continue
         middle = px[k] * dx[k] + py[k] * dy[k]
-        room = middle * middle + fastest * fastest - (px[k] * px[k] + py[k] * py[k])
-        if not room >= 0.0:
+        discriminant = middle * middle + fastest * fastest - (px[k] * px[k] + py[k] * py[k])
+        if not discriminant >= 0.0:
             return bx, by, k
-        half = math.sqrt(room)
+        half = math.sqrt(discriminant)
         low, high = -middle - half, -middle + half
         for q in range(k):
-            if there[q] == 0:
+            if is_sound[q] == 0:
                 continue
             cross = dx[k] * dy[q] - dy[k] * dx[q]
             away = dx[q] * (py[k] - py[q]) - dy[q] * (px[k] - px[q])
@@ -181,11 +182,11 @@ def _nearest(borders: Lines, most: I64, fastest: F64, wx: F64, wy: F64, x: F64, 
 @called
 def _least_forbidden(borders: Lines, between: Any, most: I64, fastest: F64, x: F64, y: F64, failed: I64) -> tuple[F64, F64]:
     """Return the point with the least violation of any border, starting from the point that the borders before `failed` allow."""
-    px, py, dx, dy, there = borders
-    qx, qy, ex, ey, some = between
+    px, py, dx, dy, is_sound = borders
+    qx, qy, ex, ey, is_usable = between
     bx, by, deepest = x, y, 0.0
     for k in range(failed, most):
-        if there[k] == 0 or not _beyond(borders, k, bx, by) > deepest:
+        if is_sound[k] == 0 or not _beyond(borders, k, bx, by) > deepest:
             continue
         for q in range(k):
             cross = dx[k] * dy[q] - dy[k] * dx[q]
@@ -198,7 +199,7 @@ def _least_forbidden(borders: Lines, between: Any, most: I64, fastest: F64, x: F
             over = size if size > _LEAST else 1.0
             ex[q], ey[q] = wx / over, wy / over
             opposed = not (level and dx[k] * dx[q] + dy[k] * dy[q] > 0.0)
-            some[q] = 1 if there[q] != 0 and size > _LEAST and opposed else 0
+            is_usable[q] = 1 if is_sound[q] != 0 and size > _LEAST and opposed else 0
         nx, ny, missed = _nearest(between, k, fastest, -dy[k], dx[k], -dy[k] * fastest, dx[k] * fastest, True)
         if missed == k:
             bx, by = nx, ny
@@ -206,17 +207,17 @@ def _least_forbidden(borders: Lines, between: Any, most: I64, fastest: F64, x: F
     return bx, by
 
 
-def widest_gaps(x: Floats, y: Floats, there: NDArray[np.bool_]) -> tuple[Floats, Floats]:
+def widest_gaps(x: Floats, y: Floats, is_present: NDArray[np.bool_]) -> tuple[Floats, Floats]:
     """Return unit directions, float64[n] ahead and to the left, into the middle of the widest gap between the bearings of
-    neighbours. Neighbours are at `x` ahead and `y` to the left, float64[n,m], where they are `there`. One neighbour leaves a gap
-    all round, with its middle straight away from it. Of equally wide gaps, the one nearest to straight ahead wins, then the one
-    to the left. Without neighbours the result is 0."""
+    neighbours. Neighbours are at `x` ahead and `y` to the left, float64[n,m], where they are `is_present`. One neighbour leaves a
+    gap all round, with its middle straight away from it. Of equally wide gaps, the one nearest to straight ahead wins, then the
+    one to the left. Without neighbours the result is 0."""
     n, most = x.shape
     if not most:
         return np.zeros(n), np.zeros(n)
-    there = there & ((x != 0) | (y != 0))  # who stands on the same spot has no bearing
+    is_present = is_present & ((x != 0) | (y != 0))  # who stands on the same spot has no bearing
     bearing = elementary.atan2(y.astype(np.float32), x.astype(np.float32)).astype(np.float64)
-    bearing = np.sort(np.where(there, bearing, np.inf), axis=1)
+    bearing = np.sort(np.where(is_present, bearing, np.inf), axis=1)
     known = np.isfinite(bearing)
     count = known.sum(axis=1)
     following = np.concatenate([bearing[:, 1:], np.full((n, 1), np.inf)], axis=1)
@@ -230,5 +231,5 @@ def widest_gaps(x: Floats, y: Floats, there: NDArray[np.bool_]) -> tuple[Floats,
     best = wide & (off <= off.min(axis=1, keepdims=True) + _ALIKE)
     chosen = np.where(best, middle, -np.inf).max(axis=1)  # to the left is above 0
     angle = np.where(count > 0, chosen, 0.0).astype(np.float32)
-    some = np.where(count > 0, 1.0, 0.0)
-    return elementary.cos(angle).astype(np.float64) * some, elementary.sin(angle).astype(np.float64) * some
+    weight = np.where(count > 0, 1.0, 0.0)
+    return elementary.cos(angle).astype(np.float64) * weight, elementary.sin(angle).astype(np.float64) * weight

@@ -32,7 +32,7 @@ _ZEROS = 29  # last bits of a float64 that are 0 if it is a float32
 Grid = tuple[Columns, Array1[I32], Array1[I64], Array1[I64], Array1[I32], Three, Three, Three, Sizes]
 # Places x, y, z and along the fast, middle and slow axis, ids, radius, heading and the cosine of the field of view
 Query = tuple[Columns, Columns, Array1[I64], Array1[F32], Columns, Array1[F32]]
-Found = tuple[Array1[I64], Array1[I64], Array1[F32], Array1[F32], Array1[F32], Array1[F32]]
+PairColumns = tuple[Array1[I64], Array1[I64], Array1[F32], Array1[F32], Array1[F32], Array1[F32]]
 
 
 class Progress(NamedTuple):
@@ -132,14 +132,14 @@ class CellGrid:
         values: tuple[NDArray[Any], ...] = (*query, who, reach, *(view or (none,) * 4))
 
         def part(begin: int, end: int) -> tuple[NDArray[Any], ...] | None:
-            found = _find(grid, shape.axes, [np.ascontiguousarray(value[begin:end]) for value in values], limit)
-            if found is not None:
-                found[0][:] += begin
-            return found
+            pair_columns = _find(grid, shape.axes, [np.ascontiguousarray(value[begin:end]) for value in values], limit)
+            if pair_columns is not None:
+                pair_columns[0][:] += begin
+            return pair_columns
 
-        found = parallel.in_parts(part, query[0].size, threads)
-        good = [columns for columns in found if columns is not None]
-        if len(good) < len(found):
+        pair_columns = parallel.in_parts(part, query[0].size, threads)
+        good = [columns for columns in pair_columns if columns is not None]
+        if len(good) < len(pair_columns):
             raise TooManyWithin
         return Pairs(*good[0]) if len(good) == 1 else Pairs(*(np.concatenate(column) for column in zip(*good, strict=True)))
 
@@ -148,8 +148,8 @@ def _find(grid: tuple[Any, ...], axes: tuple[int, ...], query: list[NDArray[Any]
     """Return pairs of all queries [m] as `Pairs` has them; None if a query has more than `limit` others within its radius.
     `query`: x, y, z, ids (empty if they are not the grid's own), radius; heading x, y, z and cosine, empty for all-round
     queries."""
-    places, (who, radius, hx, hy, hz, cosine) = query[:3], query[3:]
-    asking = (tuple(places), tuple(places[axis] for axis in axes), who, radius, (hx, hy, hz), cosine)
+    positions, (who, radius, hx, hy, hz, cosine) = query[:3], query[3:]
+    asking = (tuple(positions), tuple(positions[axis] for axis in axes), who, radius, (hx, hy, hz), cosine)
     m = radius.size
     spans, near = np.empty(64, np.int64), np.empty(1024, np.int64)
     kinds = (np.int64, np.int64, np.float32, np.float32, np.float32, np.float32)
@@ -234,37 +234,38 @@ def _spans(
 
 @called
 def _bound(
-    sx: Array1[F32], sy: Array1[F32], sz: Array1[F32], names: Array1[I64], near: Array1[I64], found: I64, x: F32, y: F32, z: F32,
+    sx: Array1[F32], sy: Array1[F32], sz: Array1[F32], names: Array1[I64], near: Array1[I64], candidate_count: I64,
+    x: F32, y: F32, z: F32,
     reach: F32, name: I64,
 ) -> tuple[F32, I64]:  # fmt: skip
-    """Return distance and id of the last of the `NEIGHBOURS` agents nearest to a position, among the first `found` agents of
-    `near` without the agent `name`. It uses bisection of the distance's bits, and of the ids at that distance."""
+    """Return distance and id of the last of the `NEIGHBOURS` agents nearest to a position, among the first `candidate_count`
+    agents of `near` without the agent `name`. It uses bisection of the distance's bits, and of the ids at that distance."""
     low, high = 0, as_bits(np.float64(reach)) >> _ZEROS
-    before, closer = 0, 0
+    nearer_count, closer = 0, 0
     while low < high:
         middle = (low + high) >> 1
-        bound, before = as_float(middle << _ZEROS), 0
-        for p in range(found):
+        bound, nearer_count = as_float(middle << _ZEROS), 0
+        for p in range(candidate_count):
             at = near[p]
             ux, uy, uz = sx[at] - x, sy[at] - y, sz[at] - z
-            before += (np.float64(np.sqrt((ux * ux + uy * uy) + uz * uz)) <= bound) & (names[at] != name)
-        if before >= NEIGHBOURS:
+            nearer_count += (np.float64(np.sqrt((ux * ux + uy * uy) + uz * uz)) <= bound) & (names[at] != name)
+        if nearer_count >= NEIGHBOURS:
             high = middle
         else:
-            low, closer = middle + 1, before
+            low, closer = middle + 1, nearer_count
     farthest = np.float32(as_float(low << _ZEROS))
     first, last = _LARGEST, np.int64(-1)
-    for p in range(found):
+    for p in range(candidate_count):
         first, last = min(first, names[near[p]]), max(last, names[near[p]])
     while first < last:
         middle = (first + last) >> 1
-        before = closer
-        for p in range(found):
+        nearer_count = closer
+        for p in range(candidate_count):
             at = near[p]
             ux, uy, uz = sx[at] - x, sy[at] - y, sz[at] - z
             same = np.sqrt((ux * ux + uy * uy) + uz * uz) == farthest
-            before += same & (names[at] <= middle) & (names[at] != name)
-        if before >= NEIGHBOURS:
+            nearer_count += same & (names[at] <= middle) & (names[at] != name)
+        if nearer_count >= NEIGHBOURS:
             last = middle
         else:
             first = middle + 1
@@ -273,7 +274,7 @@ def _bound(
 
 @kernel
 def _fill(
-    grid: Grid, query: Query, limit: I64, spans: Array1[I64], near: Array1[I64], pairs: Found, k: I64, used: I64
+    grid: Grid, query: Query, limit: I64, spans: Array1[I64], near: Array1[I64], pairs: PairColumns, k: I64, used: I64
 ) -> Progress:
     """Continue with query k, after `used` earlier pairs, until an array is full.
 
@@ -298,27 +299,27 @@ def _fill(
         if total > near.size:
             return Progress(k, used, spans.size, total)
         beyond = reach * reach * _BEYOND + np.float32(1e-30)
-        found = 0
+        candidate_count = 0
         for s in range(number):
             # Written whatever it is, and written over where it was too far: no branch that is hard to foretell.
             for at in range(spans[2 * s], spans[2 * s + 1]):
                 ux, uy, uz = sx[at] - x, sy[at] - y, sz[at] - z
-                near[found] = at
-                found += (ux * ux + uy * uy) + uz * uz <= beyond
+                near[candidate_count] = at
+                candidate_count += (ux * ux + uy * uy) + uz * uz <= beyond
         farthest, last = np.float32(np.inf), _LARGEST
-        if found > NEIGHBOURS:
+        if candidate_count > NEIGHBOURS:
             count = 0
-            for p in range(found):
+            for p in range(candidate_count):
                 at = near[p]
                 ux, uy, uz = sx[at] - x, sy[at] - y, sz[at] - z
                 count += (np.sqrt((ux * ux + uy * uy) + uz * uz) <= reach) & (not own or names[at] != name)
             if count > limit:
                 return Progress(k, used, spans.size, -1)
             if count > NEIGHBOURS:
-                farthest, last = _bound(sx, sy, sz, names, near, found, x, y, z, reach, name)
-        if used + found > i.size:
+                farthest, last = _bound(sx, sy, sz, names, near, candidate_count, x, y, z, reach, name)
+        if used + candidate_count > i.size:
             return Progress(k, used, spans.size, near.size)
-        for p in range(found):
+        for p in range(candidate_count):
             at = near[p]
             ux, uy, uz = sx[at] - x, sy[at] - y, sz[at] - z
             length = np.sqrt((ux * ux + uy * uy) + uz * uz)

@@ -22,20 +22,20 @@ def worst_overlaps(x: Floats, y: Floats, z: Floats, radius: Floats) -> Floats:
     would grow with the square of the number of agents. Therefore nearest neighbours are queried until none farther off can be
     worse."""
     x, y, z, radius = plain(x, y, z, radius)
-    found, wide = np.zeros(len(x), np.float32), [each.astype(np.float64) for each in (x, y, z, radius)]
+    overlap, wide = np.zeros(len(x), np.float32), [each.astype(np.float64) for each in (x, y, z, radius)]
     pairs = all_within_reach((wide[0], wide[1], wide[2]), np.maximum(wide[3], 0) * _WIDER + _LEAST)
     if pairs is not None:
-        worst(x, y, z, radius, pairs.i, pairs.j, found)
-        return found
+        worst(x, y, z, radius, pairs.i, pairs.j, overlap)
+        return overlap
     rows = np.flatnonzero(np.isfinite(x) & np.isfinite(y) & np.isfinite(z) & np.isfinite(radius))
     place = np.stack([x[rows], y[rows], z[rows]], axis=1)
-    found[rows] = _by_nearest(place, radius[rows])
-    return found
+    overlap[rows] = _by_nearest(place, radius[rows])
+    return overlap
 
 
 def _inside(distance: Floats, one: Floats, other: Floats) -> Floats:
-    room = np.maximum(one + other, np.float32(1e-9))
-    part: Floats = np.clip(1 - distance / room, 0, 1)
+    radius_sum = np.maximum(one + other, np.float32(1e-9))
+    part: Floats = np.clip(1 - distance / radius_sum, 0, 1)
     return part
 
 
@@ -50,39 +50,39 @@ def _by_nearest(place: Floats, radius: Floats) -> Floats:
     single, which = order[fresh], np.cumsum(fresh) - 1
     alone = np.bincount(which) == 1
     worst = np.ones(len(place), np.float32)
-    found = np.where(alone, 0, 1).astype(np.float32)
+    overlap = np.where(alone, 0, 1).astype(np.float32)
     classes = np.frexp(radius[single])[1]
     for size in np.unique(classes)[::-1]:  # the small ones near a large one are many, and none of them far off is worse
         others = single[classes == size]
         tree, widest = cKDTree(place[others].astype(np.float64)), float(radius[others].max())
-        asked, count = np.flatnonzero(alone), _NEAREST
-        while len(asked):
+        pending_rows, count = np.flatnonzero(alone), _NEAREST
+        while len(pending_rows):
             count = min(count, len(others))
-            rows = single[asked]
+            rows = single[pending_rows]
             away, near = tree.query(place[rows].astype(np.float64), count)
             away, near = away.reshape(len(rows), count), others[near.reshape(len(rows), count)]
             d = [place[near, axis] - place[rows, axis][:, None] for axis in range(3)]
             distance = np.sqrt((d[0] * d[0] + d[1] * d[1]) + d[2] * d[2])
             part = _inside(distance, radius[rows][:, None], radius[near])
             part[near == rows[:, None]] = 0
-            found[asked] = np.maximum(found[asked], part.max(axis=1))
+            overlap[pending_rows] = np.maximum(overlap[pending_rows], part.max(axis=1))
             beyond = 1 - away[:, -1] / np.maximum(radius[rows].astype(np.float64) + widest, 1e-9)
-            asked = asked[(beyond > found[asked]) & (count < len(others))]
+            pending_rows = pending_rows[(beyond > overlap[pending_rows]) & (count < len(others))]
             count *= 2
-    worst[order] = found[which]
+    worst[order] = overlap[which]
     return worst
 
 
 @kernel
 def worst(
-    x: Array1[F32], y: Array1[F32], z: Array1[F32], radius: Array1[F32], i: Array1[I64], j: Array1[I64], found: Array1[F32]
+    x: Array1[F32], y: Array1[F32], z: Array1[F32], radius: Array1[F32], i: Array1[I64], j: Array1[I64], overlap: Array1[F32]
 ) -> None:
-    """Write the worst overlap of each agent, from pairs of agents, to `found`, which is zero before."""
+    """Write the worst overlap of each agent, from pairs of agents, to `overlap`, which is zero before."""
     for k in range(i.size):
         a, b = i[k], j[k]
         one, two, three = x[b] - x[a], y[b] - y[a], z[b] - z[a]
         distance = np.sqrt((one * one + two * two) + three * three)
-        room = max(radius[a] + radius[b], np.float32(1e-9))
-        if distance < room:
-            part = np.float32(1.0) - distance / room
-            found[a], found[b] = max(found[a], part), max(found[b], part)
+        radius_sum = max(radius[a] + radius[b], np.float32(1e-9))
+        if distance < radius_sum:
+            part = np.float32(1.0) - distance / radius_sum
+            overlap[a], overlap[b] = max(overlap[a], part), max(overlap[b], part)

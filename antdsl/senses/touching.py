@@ -14,7 +14,19 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.machine_code.kernels import BOOL, F64, I32, I64, Array1, Array2, consecutive, fetch_ahead, independent, kernel, whole
+from antdsl.machine_code.kernels import (
+    BOOL,
+    F64,
+    I32,
+    I64,
+    Array1,
+    Array2,
+    consecutive,
+    fetch_ahead,
+    independent,
+    kernel,
+    nearest_integer,
+)
 from antdsl.numerics.parallel import plain
 from antdsl.numerics.sorting import listed, stable_order
 from antdsl.senses.cell_order import NO_ORDER, SHARES, SPARE, Sizes, add_up, agents_before, along, counted, position_of
@@ -27,7 +39,7 @@ Columns = tuple[Array1[F64], Array1[F64], Array1[F64]]
 Bounds = list[tuple[float, float]]
 # Places and reaches by fours, rows, and cells
 Agents = tuple[Array1[F64], Array1[I32], Array1[I64]]
-Room = tuple[Array1[I32], Array1[I32], Array1[I32]]
+CandidateBuffers = tuple[Array1[I32], Array1[I32], Array1[I32]]
 
 _MOST = 48  # agents of one row of three cells that an agent is paired with: more than fit next to each other in it
 _ALONG = 1 << 20  # cells along an axis at most
@@ -62,11 +74,11 @@ def within_reach(place: Three, reach: Floats, order: NDArray[np.int64], bounds: 
     float64[n], mm. `order` int64[n], all different: which agents count first in a dense cluster, whatever the rows. Agents
     without a finite position and reach are in no pair. `bounds`: the least and the greatest x, y, z and reach, if known; not
     finite if any of them is not."""
-    found = all_within_reach(place, reach, bounds)
-    if found is None:
-        found = _within_reach(place, reach, order, bounds, True)
-    assert found is not None
-    return found
+    pairs = all_within_reach(place, reach, bounds)
+    if pairs is None:
+        pairs = _within_reach(place, reach, order, bounds, True)
+    assert pairs is not None
+    return pairs
 
 
 def all_within_reach(place: Three, reach: Floats, bounds: Bounds | None = None) -> Pairs | None:
@@ -103,20 +115,20 @@ def _among(place: Three, reach: Floats, rows: Rows, bounds: Bounds, heaps: bool)
     if 2 * low >= high:
         return _joined([_Grid.of(place, reach, rows, bounds).pairs(heaps)])
     rows = rows if rows.size else np.arange(len(reach))
-    sizes, found = np.frexp(reach[rows])[1], []
+    sizes, pair_lists = np.frexp(reach[rows])[1], []
     for size in np.unique(sizes):
         members, smaller = rows[sizes == size], rows[sizes < size]
         grid = _Grid.of(place, reach, members, _bounds((*place, reach), members))
-        found += [grid.pairs(heaps)] + ([grid.pairs_with(place, reach, smaller, heaps)] if smaller.size else [])
-        if None in found:
+        pair_lists += [grid.pairs(heaps)] + ([grid.pairs_with(place, reach, smaller, heaps)] if smaller.size else [])
+        if None in pair_lists:
             return None
-    return _joined(found)
+    return _joined(pair_lists)
 
 
-def _joined(found: Sequence[Pairs | None]) -> Pairs | None:
-    parts = [each for each in found if each is not None]
-    if len(parts) < len(found) or len(parts) == 1:
-        return found[0] if len(parts) == 1 else None
+def _joined(pair_lists: Sequence[Pairs | None]) -> Pairs | None:
+    parts = [each for each in pair_lists if each is not None]
+    if len(parts) < len(pair_lists) or len(parts) == 1:
+        return pair_lists[0] if len(parts) == 1 else None
     i, j = (np.concatenate([getattr(each, name) for each in parts]) for name in ("i", "j"))
     return Pairs(i, j, all(each.all_of_them for each in parts))
 
@@ -139,15 +151,15 @@ class _Grid(NamedTuple):
         low, extent = [low for low, _ in bounds[:3]], [high - low for low, high in bounds[:3]]
         axes = tuple(sorted(range(3), key=lambda axis: -extent[axis]))
         cell = max(2 * bounds[3][1], extent[axes[0]] / _ALONG, 1e-9)
-        across, broad, deep = (int(extent[axis] / cell) + 3 for axis in axes)
+        across, broad, depth = (int(extent[axis] / cell) + 3 for axis in axes)
         count = rows.size or reach.size
         agents = np.empty(4 * count), np.empty(count, np.int32), np.empty(count, np.int64)
         start = tuple(low[axis] for axis in axes)
         grid = _Grid(axes, start, 1 / cell, (across, broad, 1), agents, np.empty(0, np.int32))
-        most, flat, keys = max(1 << 16, 16 * count), deep == _ONE_LAYER, np.empty(count, np.int64)
+        most, flat, keys = max(1 << 16, 16 * count), depth == _ONE_LAYER, np.empty(count, np.int64)
         counts, mates = grid._counted(place, rows, keys, most)
         if not (flat or (counts.size and mates <= _SHEET * count)):
-            grid = grid._replace(size=(across, broad, deep))
+            grid = grid._replace(size=(across, broad, depth))
             counts, _ = grid._counted(place, rows, keys, most)
         if counts.size:
             add_up(counts, grid.cells)
@@ -164,9 +176,9 @@ class _Grid(NamedTuple):
     def _numbers(self) -> tuple[Any, ...]:
         """Return what kernels need to number cells: low corners, cells per millimetre, sizes, and the index of the first cell in
         use."""
-        across, broad, deep = self.size
-        first, rate = (broad + 1) * across + 1 if deep > 1 else across + 1, self.rate
-        return self.low, (rate, rate, rate if deep > 1 else 0.0), self.size, first
+        across, broad, depth = self.size
+        first, rate = (broad + 1) * across + 1 if depth > 1 else across + 1, self.rate
+        return self.low, (rate, rate, rate if depth > 1 else 0.0), self.size, first
 
     def _counted(self, place: Three, rows: Rows, keys: NDArray[np.int64], most: int) -> tuple[NDArray[np.int32], int]:
         """Store the cells of rows. Returns a table of the number of rows in each, empty if there are more than `most` cells, and
@@ -178,17 +190,17 @@ class _Grid(NamedTuple):
         """Return the pairs among the grid's agents: each agent with later ones in its cell, and with those in the later half of
         its neighbour cells."""
         across, layer = self.size[0], self.size[0] * self.size[1]
-        return self._found(self.agents, [0, across, layer - across, layer, layer + across], True, heaps)
+        return self._find_pairs(self.agents, [0, across, layer - across, layer, layer + across], True, heaps)
 
     def pairs_with(self, place: Three, reach: Floats, rows: Rows, heaps: bool) -> Pairs | None:
         """Return the pairs of other rows with the grid's agents: each row with all agents in its cell and the neighbour cells."""
         across, layer = self.size[0], self.size[0] * self.size[1]
-        around = [deep * layer + aside * across for deep in (0, -1, 1) for aside in (-1, 0, 1)]
-        places, own, keys = np.empty(4 * rows.size), np.empty(rows.size, np.int32), np.empty(rows.size, np.int64)
-        used = _ask(place, along(self.axes, place), reach, *self._numbers(), rows, places, own, keys)
-        return self._found((places, own[:used], keys), around, False, heaps)
+        around = [depth * layer + aside * across for depth in (0, -1, 1) for aside in (-1, 0, 1)]
+        positions, own, keys = np.empty(4 * rows.size), np.empty(rows.size, np.int32), np.empty(rows.size, np.int64)
+        used = _ask(place, along(self.axes, place), reach, *self._numbers(), rows, positions, own, keys)
+        return self._find_pairs((positions, own[:used], keys), around, False, heaps)
 
-    def _found(
+    def _find_pairs(
         self, asking: tuple[Floats, NDArray[np.int32], NDArray[np.int64]], around: list[int], own: bool, heaps: bool
     ) -> Pairs | None:
         """Return the pairs of requesting agents with others in rows of three cells, at the offsets `around` from their own
@@ -196,11 +208,11 @@ class _Grid(NamedTuple):
         if self.size[2] == 1:
             around = around[: 2 if own else 3]
         count, shifts = asking[1].size, np.array(around, np.int64)
-        room = tuple(np.empty((3, _TOGETHER * len(around) * _MOST + _WRITTEN), np.int32))
+        buffers = tuple(np.empty((3, _TOGETHER * len(around) * _MOST + _WRITTEN), np.int32))
         used, most_pairs, left_out = -3, 4 * count + 256, 0
         while used == -3:
             i, j = np.empty((2, most_pairs), np.int64)
-            used, left_out = _filled(asking, self.agents, self.starts, self.cells, shifts, own, _MOST, heaps, room, i, j)
+            used, left_out = _filled(asking, self.agents, self.starts, self.cells, shifts, own, _MOST, heaps, buffers, i, j)
             most_pairs *= 4
         return None if used < 0 else Pairs(i[:used], j[:used], not left_out)
 
@@ -216,7 +228,7 @@ def _count(
 
 @kernel
 def _put(
-    places: Columns, reach: Array1[F64], order: Array1[I64], keys: Array1[I64], counts: Array2[I32], ordered: Array1[F64],
+    positions: Columns, reach: Array1[F64], order: Array1[I64], keys: Array1[I64], counts: Array2[I32], ordered: Array1[F64],
     rows: Array1[I32], cells: Array1[I64],
 ) -> None:  # fmt: skip
     """Write x, y, z and reach (in groups of four), the row and the cell of each agent at its position."""
@@ -225,14 +237,14 @@ def _put(
             fetch_ahead(ordered, 4 * counts[0, keys[min(k + _FETCHED, keys.size - 1)] + 1])
         row = order[k] if order.size > 0 else k
         position = position_of(counts, 0, k, keys[k])
-        ordered[4 * position], ordered[4 * position + 1] = places[0][row], places[1][row]
-        ordered[4 * position + 2], ordered[4 * position + 3] = places[2][row], reach[row]
+        ordered[4 * position], ordered[4 * position + 1] = positions[0][row], positions[1][row]
+        ordered[4 * position + 2], ordered[4 * position + 3] = positions[2][row], reach[row]
         rows[position], cells[position] = row, keys[k]
 
 
 @kernel
 def _ask(
-    places: Columns, along: Columns, reach: Array1[F64], low: Corner, inverse: Corner, size: Sizes, shift: I64,
+    positions: Columns, along: Columns, reach: Array1[F64], low: Corner, inverse: Corner, size: Sizes, shift: I64,
     order: Array1[I64], asking: Array1[F64], rows: Array1[I32], cells: Array1[I64],
 ) -> I64:  # fmt: skip
     """List the rows that are at most one cell away from cells in use; return their number."""
@@ -245,9 +257,9 @@ def _ask(
             continue
         if not (a <= np.float64(size[0] - 2) and b <= np.float64(size[1] - 2) and c <= np.float64(max(size[2] - 2, 0))):
             continue
-        asking[4 * used], asking[4 * used + 1] = places[0][row], places[1][row]
-        asking[4 * used + 2], asking[4 * used + 3] = places[2][row], reach[row]
-        rows[used], cells[used] = row, (whole(c) * size[1] + whole(b)) * size[0] + whole(a) + shift
+        asking[4 * used], asking[4 * used + 1] = positions[0][row], positions[1][row]
+        asking[4 * used + 2], asking[4 * used + 3] = positions[2][row], reach[row]
+        rows[used], cells[used] = row, (nearest_integer(c) * size[1] + nearest_integer(b)) * size[0] + nearest_integer(a) + shift
         used += 1
     return used
 
@@ -255,15 +267,15 @@ def _ask(
 @kernel
 def _filled(
     asking: Agents, agents: Agents, starts: Array1[I32], cells: I64, shifts: Array1[I64], own: BOOL, most: I64, heaps: BOOL,
-    room: Room, i: Array1[I64], j: Array1[I64],
+    buffers: CandidateBuffers, i: Array1[I64], j: Array1[I64],
 ) -> tuple[I64, I64]:  # fmt: skip
     """Fill `i` and `j` with pairs. Returns their number, and in how many spans some are left out.
 
     Instead of the number: -3 if `i` and `j` are too short; -2 if three cells in a row have more than `most` agents, and `heaps`
     does not allow to leave out pairs. `shifts`: offsets of the middle of three cells from the agent's own cell. `own`: pairs only
-    with later agents, first in the agent's own cell. `room`: buffers for candidates, listed without an unpredictable branch, and
-    for those that are near."""
-    (asks, asking_rows, asking_keys), (ordered, rows, keys), (one, other, near) = asking, agents, room
+    with later agents, first in the agent's own cell. `buffers`: buffers for candidates, listed without an unpredictable branch,
+    and for those that are near."""
+    (asks, asking_rows, asking_keys), (ordered, rows, keys), (one, other, near) = asking, agents, buffers
     used, count, left_out = 0, asking_rows.size, 0
     for begin in range(0, count, _TOGETHER):
         candidates = 0
@@ -295,10 +307,10 @@ def _filled(
             (x, y, z, wide), (u, v, w, far) = consecutive(asks, 4 * p, 4), consecutive(ordered, 4 * q, 4)
             x, y, z, reach = u - x, v - y, w - z, wide + far
             near[n] = 1 if (x * x + y * y) + z * z <= reach * reach else 0
-        found = listed(near, candidates)
-        if used + found > i.size:
+        near_count = listed(near, candidates)
+        if used + near_count > i.size:
             return -3, 0
-        for n in range(found):
+        for n in range(near_count):
             i[used + n], j[used + n] = asking_rows[one[near[n]]], rows[other[near[n]]]
-        used += found
+        used += near_count
     return used, left_out

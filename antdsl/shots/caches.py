@@ -46,9 +46,9 @@ def task(shot: Shot, scene: Path, choices: Choices, options: Mapping[str, Any], 
 
 def cached(document: Mapping[str, Any], worker: Worker) -> dict[str, Any]:
     """Simulate a scene into a cache."""
-    grants = {name: worker.here(folder) for name, folder in document["grants"].items()}
+    grants = {name: worker.local_path(folder) for name, folder in document["grants"].items()}
     choices = Choices(grants, FrameRange(*document["frames"]), document["seed"], document["set"])
-    shot, report = open_scene(worker.here(document["scene"]), choices)
+    shot, report = open_scene(worker.local_path(document["scene"]), choices)
     if shot is None or not report.ok:
         raise Refused("; ".join(problem.message for problem in report.errors))
     options = dict(document["options"])
@@ -59,27 +59,27 @@ def cached(document: Mapping[str, Any], worker: Worker) -> dict[str, Any]:
         if _digest({**shot.inputs, **start_hash(shot)}) != document["inputs"]:
             raise Refused("files that the scene reads have changed since the command began")
         recording = begin(shot, place / document["name"], Options(threads=worker.threads, **options), resume=resume, force=force)
-        recording.way = document["way"]
+        recording.scene_path = document["way"]
         worker.notes += recording.notes
         for _ in record(recording):
-            worker.told(recording.world.frame)
-        worker.notes += recording.world.backend.told()
+            worker.report_frame(recording.world.frame)
+        worker.notes += recording.world.backend.messages()
     except (BindError, StartError) as why:
         raise Refused("; ".join(problem.message for problem in why.report.errors)) from None
     except (ForeignFolder, InTheWay, DifferentInputs, NothingToResume, Locked, LimitStop, FaultStop) as why:
         raise Refused(str(why)) from None
-    about = {"frames": document["frames"][1] - document["frames"][0] + 1, "hash": recording.hash}
-    return {**to.made(worker, place, document["key"]), **about}
+    summary = {"frames": document["frames"][1] - document["frames"][0] + 1, "hash": recording.hash}
+    return {**to.describe_files(worker, place, document["key"]), **summary}
 
 
 def without_others(folder: Path, files: list[Any], name: str) -> None:
     """Remove frames and checkpoints of an earlier run from a cache that was fetched."""
-    kept = {str(file) for file, *_ in files}
+    current_names = {str(file) for file, *_ in files}
     for kind in KINDS:
         for path in (folder / kind).glob("*.npz"):
-            if f"{name}/{kind}/{path.name}" not in kept:
+            if f"{name}/{kind}/{path.name}" not in current_names:
                 path.unlink()
 
 
-def _digest(about: Mapping[str, Any]) -> str:
-    return hashlib.blake2b(json.dumps(about, sort_keys=True).encode(), digest_size=12).hexdigest()
+def _digest(inputs: Mapping[str, Any]) -> str:
+    return hashlib.blake2b(json.dumps(inputs, sort_keys=True).encode(), digest_size=12).hexdigest()

@@ -24,12 +24,12 @@ def tasks(
 ) -> Iterator[Task]:
     """Yield tasks that write all frames to files with names from `name`. `cache`: an absolute path without links."""
     chosen = None if ids is None else sorted(ids)
-    about = {"cache": str(cache), "name": name, "form": form, "ids": chosen, "folder": to.folder, "token": to.token}
-    head = hashlib.blake2b(json.dumps(about).encode(), digest_size=8).hexdigest()
+    document = {"cache": str(cache), "name": name, "form": form, "ids": chosen, "folder": to.folder, "token": to.token}
+    head = hashlib.blake2b(json.dumps(document).encode(), digest_size=8).hexdigest()
     for start in range(0, len(frames), CHUNK):
         chunk = list(frames[start : start + CHUNK])
         key = f"{head}-{chunk[0]}-{chunk[-1]}"
-        yield Task(key, exported, {**about, "frames": chunk, "key": key})
+        yield Task(key, exported, {**document, "frames": chunk, "key": key})
 
 
 def exported(document: Mapping[str, Any], worker: Worker) -> dict[str, Any]:
@@ -39,12 +39,12 @@ def exported(document: Mapping[str, Any], worker: Worker) -> dict[str, Any]:
     try:
         if export is None or document["form"] not in export.each:
             raise Refused(f"`{name}` has no file for each frame")
-        found = open_cache(worker.here(document["cache"]))
+        cache = open_cache(worker.local_path(document["cache"]))
         if document["ids"] is not None:
-            found = SomeAgents(found.folder, found.manifest, frozenset(document["ids"]))
+            cache = SomeAgents(cache.folder, cache.manifest, frozenset(document["ids"]))
         place = to.place(worker, document["key"])
-        notes = export.forms[document["form"]](Gallery(found), document["frames"], place / name)
+        notes = export.forms[document["form"]](Gallery(cache), document["frames"], place / name)
     except (ManifestError, CacheError, NoPicture, NoExport) as why:
         raise Refused(str(why)) from None
     worker.notes += notes or ()
-    return to.made(worker, place, document["key"])
+    return to.describe_files(worker, place, document["key"])

@@ -13,7 +13,7 @@ from typing import Any, Protocol
 from antdsl.bounded import blocks, open_bounded
 from antdsl.executors import Answered, Executors, Lost, Refused, Task, Worker, run_tasks
 from antdsl.limits import MADE_BYTES
-from antdsl.whole import make_folder, new_beside, whole_file
+from antdsl.whole import atomic_file, make_folder, new_beside
 
 _TRIES = 3  # number of attempts of a task with files that cannot be fetched
 
@@ -37,11 +37,11 @@ class Destination:
         """Return the folder to which a task writes its files on this machine."""
         if worker.scratch is None or (Path(self.folder) / self.token).is_file():
             return Path(self.folder)
-        made = worker.scratch / key
-        made.mkdir(exist_ok=True)
-        return made
+        task_folder = worker.scratch / key
+        task_folder.mkdir(exist_ok=True)
+        return task_folder
 
-    def made(self, worker: Worker, place: Path, key: str) -> dict[str, Any]:
+    def describe_files(self, worker: Worker, place: Path, key: str) -> dict[str, Any]:
         """Return the answer of a task after it has written files: what is to be fetched. Raises Refused if it is too large."""
         if place == Path(self.folder):
             return {"worker": "", "made": key, "files": []}
@@ -69,7 +69,7 @@ def fetched(
     tasks: Iterable[Task],
     executors: Executors,
     folder: Callable[[Task], Path],
-    told: Callable[[Task, int], None] = lambda task, frame: None,
+    report_frame: Callable[[Task, int], None] = lambda task, frame: None,
     noted: Callable[[str], None] = lambda sentence: None,
 ) -> Iterator[Answered]:
     """Run tasks with `Destination.made` answers, and yield each once its files are in their folder. A task runs again if its
@@ -77,7 +77,7 @@ def fetched(
     again: list[Task] = list(tasks)
     for attempt in range(_TRIES):
         waiting, again = again, []
-        for answered in run_tasks(waiting, executors, told, noted):
+        for answered in run_tasks(waiting, executors, report_frame, noted):
             try:
                 if answered.answer is not None and answered.answer["files"]:
                     _fetch(answered.answer, executors, folder(answered.task))
@@ -94,7 +94,7 @@ def fetched(
 
 
 def _fetch(answer: dict[str, Any], source: Any, folder: Path) -> None:
-    there: Fetching = source
+    fetcher: Fetching = source
     root, left = folder.resolve(), MADE_BYTES
     for name, size, digest in answer["files"]:
         path, left = (root / name).resolve(), left - size
@@ -102,13 +102,13 @@ def _fetch(answer: dict[str, Any], source: Any, folder: Path) -> None:
             raise Refused(f"a worker made `{name}` of {size:,} bytes, which does not go into `{folder}`")
         make_folder(path.parent)
         hashed = hashlib.blake2b(digest_size=16)
-        with whole_file(path) as file:
-            for data in there.fetch(answer["worker"], f"{answer['made']}/{name}", size):
+        with atomic_file(path) as file:
+            for data in fetcher.fetch(answer["worker"], f"{answer['made']}/{name}", size):
                 hashed.update(data)
                 file.write(data)
             if hashed.hexdigest() != digest:
                 raise Lost(f"`{name}` did not arrive as it was made")
-    there.forget(answer["worker"], answer["made"])
+    fetcher.forget(answer["worker"], answer["made"])
 
 
 def _digest(path: Path) -> str:

@@ -18,14 +18,20 @@ from antdsl.shots.placing import Destination
 CHUNK = 4  # frames of a task
 
 
-def tasks(cache: Path, wanted: Drawn, frames: Sequence[int], together: Sequence[int], to: Destination) -> Iterator[Task]:
+def tasks(cache: Path, picture_request: Drawn, frames: Sequence[int], together: Sequence[int], to: Destination) -> Iterator[Task]:
     """Yield tasks that draw all frames. `cache`: an absolute path without links; `together`: the frames for which the camera is
     chosen."""
-    about = {"cache": str(cache), "wanted": wanted.document(), "all": list(together), "folder": to.folder, "token": to.token}
-    head = hashlib.blake2b(json.dumps(about).encode(), digest_size=8).hexdigest()
+    document = {
+        "cache": str(cache),
+        "wanted": picture_request.document(),
+        "all": list(together),
+        "folder": to.folder,
+        "token": to.token,
+    }
+    head = hashlib.blake2b(json.dumps(document).encode(), digest_size=8).hexdigest()
     for start in range(0, len(frames), CHUNK):
         chunk = list(frames[start : start + CHUNK])
-        yield Task(f"{head}-{chunk[0]}-{chunk[-1]}", stills, {**about, "frames": chunk, "key": f"{head}-{chunk[0]}"})
+        yield Task(f"{head}-{chunk[0]}-{chunk[-1]}", stills, {**document, "frames": chunk, "key": f"{head}-{chunk[0]}"})
 
 
 def stills(document: Mapping[str, Any], worker: Worker) -> dict[str, Any]:
@@ -33,17 +39,20 @@ def stills(document: Mapping[str, Any], worker: Worker) -> dict[str, Any]:
     to = Destination(document["folder"], document["token"])
     drawn = json.dumps([document["cache"], document["wanted"], document["all"]])
     try:
-        kept = worker.kept.get("drawer")
-        if kept is None or kept[0] != drawn:
-            wanted = Drawn.of(document["wanted"])
-            gallery = wanted.gallery(open_cache(worker.here(document["cache"])))
-            kept = worker.kept["drawer"] = drawn, Drawer(gallery, wanted, document["all"], worker.threads)
+        cached_drawer = worker.cached_values.get("drawer")
+        if cached_drawer is None or cached_drawer[0] != drawn:
+            picture_request = Drawn.of(document["wanted"])
+            gallery = picture_request.gallery(open_cache(worker.local_path(document["cache"])))
+            cached_drawer = worker.cached_values["drawer"] = (
+                drawn,
+                Drawer(gallery, picture_request, document["all"], worker.threads),
+            )
         place = to.place(worker, document["key"])
-        drawer: Drawer = kept[1]
-        made = Stills.of(place, drawer.gallery.cache, drawer.wanted, document["all"])
+        drawer: Drawer = cached_drawer[1]
+        output = Stills.of(place, drawer.gallery.cache, drawer.wanted, document["all"])
         for frame in document["frames"]:
-            made.put(frame, drawer.draw(frame))
-            worker.told(frame)
+            output.put(frame, drawer.draw(frame))
+            worker.report_frame(frame)
     except (ManifestError, CacheError, NoPicture, NoAgent, ValueError) as why:
         raise Refused(str(why)) from None
-    return {**to.made(worker, place, document["key"]), "frames": document["frames"]}
+    return {**to.describe_files(worker, place, document["key"]), "frames": document["frames"]}

@@ -28,7 +28,7 @@ def exact_total(values: NDArray[Any]) -> np.float64:
     return np.float64(fsum(wide.tolist())) if np.isfinite(wide).all() else np.float64(wide.sum())
 
 
-def whole(world: World, judged: dict[str, Population], plan: WholePlan) -> Any:
+def evaluate_aggregate(world: World, judged: dict[str, Population], plan: WholePlan) -> Any:
     """Return the number: float64 for totals and counts, float32 for all else. Without agents, it is as for an empty set."""
     if plan.kind == "field" and plan.body is None:
         values = world.fields[plan.of].values

@@ -19,7 +19,7 @@ from antdsl.source import Span
 from antdsl.syntax.nodes import Text
 
 DEFAULT_SCENE = "scene.yaml"
-TOLD_AGENTS = 8  # ids that a failure names
+MOST_NAMED_AGENTS = 8  # ids that a failure names
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,7 +75,7 @@ class Case:
     frames: int = 0
     seconds: float = 0.0
     against: Opponent | None = None
-    kept: SavedFrames | None = None
+    saved_frames: SavedFrames | None = None
 
     @property
     def name(self) -> str:
@@ -174,10 +174,10 @@ class _Finder:
         names."""
         assert spec.against is not None
         if spec.against.scene is not None:
-            found = self._named(Path(spec.span.source.path), spec.against.scene)
-            if found is None:
+            scene_path = self._named(Path(spec.span.source.path), spec.against.scene)
+            if scene_path is None:
                 return None
-            scene = found
+            scene = scene_path
         mine = {change.name for change in spec.against.changes}
         shot = self._shot(scene, (*(c for c in spec.changes if c.name not in mine), *spec.against.changes))
         plan = None if shot is None else self._plan(shot, spec, scene)

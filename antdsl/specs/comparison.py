@@ -11,17 +11,17 @@ from antdsl.plan import ir
 from antdsl.plan.lowering.spec_blocks import JudgementPlan, SpecPlan
 from antdsl.runtime.world import World
 from antdsl.specs.lines import Line, about_the_whole, in_steps
-from antdsl.specs.queries import Asker
+from antdsl.specs.queries import Questioner
 
 Place = tuple[str, int]
 
 
-class Rival:
+class ComparedRun:
     """The other run of a comparison. Call `look` at each of its frames, from the first on. Frames are counted from there, so that
     two scenes may have different numbers. `dt`: seconds per frame."""
 
     def __init__(self, plan: SpecPlan, world: World) -> None:
-        self.asker = Asker(plan, world)
+        self.asker = Questioner(plan, world)
         self.plan, self.first, self.dt = plan, world.frame, world.dt
         self.lines = {_place(j): Line(j, None, in_steps(world, j.held)) for j in plan.judgements if j.kind == "sooner"}
         self.when: dict[Place, int] = {}
@@ -42,7 +42,7 @@ class Rival:
         """Return the numbers of the other run in this frame, counted from its first."""
         return self.seen[min(frame, len(self.seen) - 1)]
 
-    def met(self, line: JudgementPlan) -> int | None:
+    def steps_until_held(self, line: JudgementPlan) -> int | None:
         """Return after how many steps a `sooner` held in the other run; None if it never did."""
         return self.when.get(_place(line))
 

@@ -52,7 +52,7 @@ class Coverage:
         for machine in machines:
             states = world.populations[machine.species].now.get(f"{machine.name}.state")
             if states is not None:
-                _met(machine, states)
+                _count_states(machine, states)
         world.watchers.append(partial(_count_all, machines=machines))
 
     def _machine(self, species: str, machine: Machine) -> _Machine:
@@ -70,7 +70,7 @@ class Coverage:
         return table.setdefault((span.source.path, span.start, name), Counted(name, span))
 
 
-def _met(machine: _Machine, states: np.ndarray) -> None:
+def _count_states(machine: _Machine, states: np.ndarray) -> None:
     for state, number in zip(machine.states, np.bincount(states, minlength=len(machine.states)), strict=True):
         state.count += int(number)
 
@@ -84,14 +84,16 @@ def _count(world: World, machine: _Machine) -> None:
     """Count a step. Call it after all agents have acted, before those that die in it are removed. Changes are numbered as in
     `plan.machines`."""
     population = world.populations[machine.species]
-    before, after = (table.get(f"{machine.name}.state") for table in (population.start, population.now))
-    if before is not None and after is not None:
-        _met(machine, np.concatenate([after, before[before != after]]))  # who was just born may have left already
+    previous_states, next_states = (table.get(f"{machine.name}.state") for table in (population.start, population.now))
+    if previous_states is not None and next_states is not None:
+        _count_states(
+            machine, np.concatenate([next_states, previous_states[previous_states != next_states]])
+        )  # who was just born may have left already
     pending, won = (population.now.get(f"~{machine.name}.{word}") for word in ("pending", "won"))
     if pending is None:
         return
     if machine.taking and won is not None:
         pending = np.where(np.isin(pending, machine.taking) & ~won, 0, pending)
-    made = np.bincount(pending, minlength=len(machine.changes) + 1)
-    for change, number in zip(machine.changes, made[1:], strict=True):
+    change_counts = np.bincount(pending, minlength=len(machine.changes) + 1)
+    for change, number in zip(machine.changes, change_counts[1:], strict=True):
         change.count += int(number)

@@ -11,7 +11,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from antdsl.loading import shown
+from antdsl.loading import display_path
 from antdsl.outputs.cache.cache_writer import ForeignFolder, InTheWay, prepare_folder
 from antdsl.outputs.cache.frames import static_arrays
 from antdsl.outputs.recording import Recording, record
@@ -34,7 +34,7 @@ MOST = 5  # cases stored of one `antdsl test`
 
 
 @dataclass(frozen=True, slots=True)
-class Moment:
+class FailurePoint:
     """The frame in which a case failed, the hash of its state (None if the step itself failed), and the state of an earlier
     frame."""
 
@@ -60,13 +60,13 @@ class Trail:
         if self.last is None or (not self.whole and world.frame >= int(self.last["frame"]) + EVERY):
             self.last = checkpoint(world)
 
-    def moment(self, world: World) -> Moment:
+    def failure_point(self, world: World) -> FailurePoint:
         """What is needed to come to this frame again."""
-        return Moment(world.frame, state_hash(world), checkpoint(world) if self.last is None else self.last)
+        return FailurePoint(world.frame, state_hash(world), checkpoint(world) if self.last is None else self.last)
 
 
 @dataclass(slots=True)
-class Keeper:
+class FailureSaver:
     """Saves failed cases below `folder`, or below `out/failed` next to their scenes."""
 
     folder: Path | None
@@ -74,7 +74,7 @@ class Keeper:
     options: Options
     count: int = 0
 
-    def save(self, run: Run, case: Case, moment: Moment, built: Built) -> SavedFrames:
+    def save(self, run: Run, case: Case, failure_point: FailurePoint, built: Built) -> SavedFrames:
         """Simulate up to the failure again, into a cache. Problems are reported in the `SavedFrames`."""
         self.count += 1
         if self.count > MOST:
@@ -84,40 +84,41 @@ class Keeper:
         named = (case.scene.parent, "out", "failed") if self.folder is None else (above,)
         link = first_link(*named, folder.name)
         if link is not None:
-            return SavedFrames(None, f"not saved: `{shown(link)}` is a link; name a folder with `--keep`")
+            return SavedFrames(None, f"not saved: `{display_path(link)}` is a link; name a folder with `--keep`")
         params = {change.name: _flag(run.shot, change.value) for change in case.spec.changes}
-        frames = FrameRange(moment.begins, max(run.shot.frames.last, moment.frame + 1))
+        frames = FrameRange(failure_point.begins, max(run.shot.frames.last, failure_point.frame + 1))
         shot, report = open_scene(case.scene, Choices(self.grants, frames, run.seed, params))
         if shot is None:
             return SavedFrames(None, f"not saved: {report.errors[0].message}")
         try:
-            found = self._record(shot, folder, moment, built)
+            last_hash = self._record(shot, folder, failure_point, built)
         except (OSError, ForeignFolder, InTheWay, StartError, CheckpointError) as why:
             return SavedFrames(None, f"not saved: {str(why).lower()}")
         words = [f"--root {shlex.quote(f'{name}={path}')}" for name, path in self.grants.items()]
         words += [f"--set {shlex.quote(f'{name}={text}')}" for name, text in params.items()]
-        here, scene = shlex.quote(shown(folder)), shlex.quote(shown(case.scene))
+        folder_text, scene = shlex.quote(display_path(folder)), shlex.quote(display_path(case.scene))
         again = " ".join([f"antdsl run {scene} --frames {frames.first}..{frames.last} --seed {run.seed}", *words])
-        failed = moment.frame + (moment.hash is None)  # a step with a fault is not saved
-        whose = next((f.agents for f in case.failures if f.frame == failed and f.agents), ())
-        agents = f" --agents {','.join(map(str, whose))} --show trail,ids" if whose else ""
-        look = f"antdsl render {here} --frames {max(moment.begins, moment.frame - 1)}..{moment.frame}{agents}"
-        same = moment.hash is None or found == moment.hash
+        failed = failure_point.frame + (failure_point.hash is None)  # a step with a fault is not saved
+        agent_ids = next((f.agents for f in case.failures if f.frame == failed and f.agents), ())
+        agents = f" --agents {','.join(map(str, agent_ids))} --show trail,ids" if agent_ids else ""
+        first = max(failure_point.begins, failure_point.frame - 1)
+        look = f"antdsl render {folder_text} --frames {first}..{failure_point.frame}{agents}"
+        same = failure_point.hash is None or last_hash == failure_point.hash
         note = "" if same else "what was saved came out differently, which is a mistake of antdsl"
-        return SavedFrames(folder, note, moment.begins, moment.frame, look, f"{again} --out {here} --resume")
+        return SavedFrames(folder, note, failure_point.begins, failure_point.frame, look, f"{again} --out {folder_text} --resume")
 
-    def _record(self, shot: Shot, folder: Path, moment: Moment, built: Built) -> str:
+    def _record(self, shot: Shot, folder: Path, failure_point: FailurePoint, built: Built) -> str:
         """Write the frames from the copy to the failure; return the hash of the last."""
         model = shot.scene.model
         output = model.output.model_copy(update={"checkpoint": 1})
-        short = FrameRange(moment.begins, moment.frame)
+        short = FrameRange(failure_point.begins, failure_point.frame)
         scene = shot.scene.changed(output=output, frames=short, preroll=0)
         begins = source_of(shot)
         if begins is not None and begins.resolve() == folder.resolve():
             raise ForeignFolder(f"`{folder}` is what the scene begins with")
         prepare_folder(folder, force=False)
         world = bind(shot.plan, shot.setting, self.options, built=built)
-        restore(world, moment.arrays)
+        restore(world, failure_point.arrays)
         inputs = {**shot.inputs, **start_hash(shot)}
         recording = Recording(replace(shot, scene=scene), folder, world, inputs, static=static_arrays(world, shot.setting))
         for _ in record(recording):

@@ -20,28 +20,30 @@ from antdsl.specs.queries import by_id
 Ids = NDArray[np.int64]
 Truths = NDArray[np.bool_]
 TIME_OVER, RUN_OVER, LEFT = "the time is over", "the run is over", "it left before"
-_NOBODY = np.empty(0, np.int64)
+_NO_IDS = np.empty(0, np.int64)
 _NEVER = -(2**62)
 
 
 @dataclass(slots=True, eq=False)
-class Seen:
-    """One frame of the agents that a line concerns: `begun` is each one's first frame, `free` marks those with an `until` that
-    held before."""
+class Observation:
+    """One frame of the agents that a line concerns: `first_frames` is each one's first frame, `free` marks those with an `until`
+    that held before."""
 
     frame: int
     final: bool
     ids: Ids
-    begun: Ids
+    first_frames: Ids
     holds: Truths
     since: Truths | None
     free: Truths
 
 
-def about_the_whole(frame: int, final: bool, first: int, holds: bool, since: bool | None) -> Seen:
+def about_the_whole(frame: int, final: bool, first: int, holds: bool, since: bool | None) -> Observation:
     """One frame of a line about the whole."""
-    asked = None if since is None else np.array([since])
-    return Seen(frame, final, np.zeros(1, np.int64), np.full(1, first), np.array([holds]), asked, np.zeros(1, np.bool_))
+    since_flags = None if since is None else np.array([since])
+    return Observation(
+        frame, final, np.zeros(1, np.int64), np.full(1, first), np.array([holds]), since_flags, np.zeros(1, np.bool_)
+    )
 
 
 def in_steps(world: World, time: ir.Node | None) -> int | None:
@@ -63,132 +65,132 @@ class Line:
     why: str = ""
     fine: Truths = field(default_factory=lambda: np.zeros(0, np.bool_))
     was: Truths = field(default_factory=lambda: np.zeros(0, np.bool_))
-    count: Ids = field(default_factory=_NOBODY.copy)
-    pending: Ids = field(default_factory=_NOBODY.copy)
-    waiting: Ids = field(default_factory=_NOBODY.copy)
+    count: Ids = field(default_factory=_NO_IDS.copy)
+    pending: Ids = field(default_factory=_NO_IDS.copy)
+    waiting: Ids = field(default_factory=_NO_IDS.copy)
 
-    def look(self, seen: Seen) -> Ids:
+    def look(self, observation: Observation) -> Ids:
         """Return which agents fail in this frame. `why`: the reason in words, empty if the condition alone is the reason."""
         self.why = ""
         if self.held is not None:
-            self.count = by_id(self.count, seen.ids, 0)
-            self.count[seen.ids] = np.where(seen.holds, self.count[seen.ids] + 1, 0)
-            seen.holds = self.count[seen.ids] > self.held
-        if seen.since is not None:
-            return _SINCE[self.plan.kind](self, seen)
-        return _KINDS[self.plan.kind](self, seen)
+            self.count = by_id(self.count, observation.ids, 0)
+            self.count[observation.ids] = np.where(observation.holds, self.count[observation.ids] + 1, 0)
+            observation.holds = self.count[observation.ids] > self.held
+        if observation.since is not None:
+            return _SINCE[self.plan.kind](self, observation)
+        return _KINDS[self.plan.kind](self, observation)
 
     def began(self, agent: int) -> int | None:
         """Return the frame in which an agent's expired waiting time began, if the line has a `when`."""
         known = self.plan.since is not None and agent < len(self.pending)
         return int(self.pending[agent]) if known and self.pending[agent] != _NEVER else None
 
-    def _left(self, seen: Seen, waiting: Truths) -> Ids:
+    def _left(self, observation: Observation, waiting: Truths) -> Ids:
         """Return the agents that waited before and no longer exist. `waiting`, by row: those that wait now."""
-        there = np.zeros(max(int(seen.ids.max(initial=-1)), int(self.waiting.max(initial=-1))) + 1, np.bool_)
-        there[seen.ids] = True
-        gone = self.waiting[~there[self.waiting]]
-        self.waiting = seen.ids[waiting]
-        return gone
+        is_present = np.zeros(max(int(observation.ids.max(initial=-1)), int(self.waiting.max(initial=-1))) + 1, np.bool_)
+        is_present[observation.ids] = True
+        removed_ids = self.waiting[~is_present[self.waiting]]
+        self.waiting = observation.ids[waiting]
+        return removed_ids
 
 
-def _always(line: Line, seen: Seen) -> Ids:
-    failed: Ids = seen.ids[~seen.holds & ~seen.free]
+def _always(line: Line, observation: Observation) -> Ids:
+    failed: Ids = observation.ids[~observation.holds & ~observation.free]
     return failed
 
 
-def _never(line: Line, seen: Seen) -> Ids:
-    return seen.ids[seen.holds & ~seen.free]
+def _never(line: Line, observation: Observation) -> Ids:
+    return observation.ids[observation.holds & ~observation.free]
 
 
-def _finally(line: Line, seen: Seen) -> Ids:
-    return _always(line, seen) if seen.final else _NOBODY
+def _finally(line: Line, observation: Observation) -> Ids:
+    return _always(line, observation) if observation.final else _NO_IDS
 
 
-def _for(line: Line, seen: Seen) -> Ids:
+def _for(line: Line, observation: Observation) -> Ids:
     assert line.steps is not None
-    last = seen.begun + line.steps
-    if line.plan.species is None and (seen.frame >= last).all() and seen.holds.all():
+    last = observation.first_frames + line.steps
+    if line.plan.species is None and (observation.frame >= last).all() and observation.holds.all():
         line.open = False
-    return seen.ids[~seen.holds & ~seen.free & (seen.frame <= last)]
+    return observation.ids[~observation.holds & ~observation.free & (observation.frame <= last)]
 
 
-def _eventually(line: Line, seen: Seen) -> Ids:
+def _eventually(line: Line, observation: Observation) -> Ids:
     """Return the failed ids of `eventually`, and of `within`, which also fails when its time is over."""
-    line.fine = by_id(line.fine, seen.ids, False)
-    line.fine[seen.ids[seen.holds | seen.free]] = True
-    waiting = ~line.fine[seen.ids]
-    gone = line._left(seen, waiting)
-    if len(gone):
+    line.fine = by_id(line.fine, observation.ids, False)
+    line.fine[observation.ids[observation.holds | observation.free]] = True
+    waiting = ~line.fine[observation.ids]
+    removed_ids = line._left(observation, waiting)
+    if len(removed_ids):
         line.why = LEFT
-        return gone
+        return removed_ids
     if line.plan.species is None and not waiting.any():
         line.open = False
     if line.steps is not None:
-        late = seen.ids[waiting & (seen.frame >= seen.begun + line.steps)]
+        late = observation.ids[waiting & (observation.frame >= observation.first_frames + line.steps)]
         if len(late):
             line.why = TIME_OVER
             return late
     ends = line.plan.kind == "eventually" or line.plan.species is None
-    if seen.final and ends and waiting.any():
+    if observation.final and ends and waiting.any():
         line.why = RUN_OVER
-        return seen.ids[waiting]
-    return _NOBODY
+        return observation.ids[waiting]
+    return _NO_IDS
 
 
 # --- after a `when` --------------------------------------------------------------------------------------------------
 
 
-def _comes(line: Line, seen: Seen) -> Truths:
+def _comes(line: Line, observation: Observation) -> Truths:
     """Return where `since` holds now and did not in the frame before."""
-    assert seen.since is not None
-    line.was, line.pending = by_id(line.was, seen.ids, False), by_id(line.pending, seen.ids, _NEVER)
-    comes = seen.since & ~line.was[seen.ids]
-    line.was[seen.ids] = seen.since
+    assert observation.since is not None
+    line.was, line.pending = by_id(line.was, observation.ids, False), by_id(line.pending, observation.ids, _NEVER)
+    comes = observation.since & ~line.was[observation.ids]
+    line.was[observation.ids] = observation.since
     return comes
 
 
-def _since_within(line: Line, seen: Seen) -> Ids:
+def _since_within(line: Line, observation: Observation) -> Ids:
     """Also `eventually`. Of several overlapping times, the first one counts: what ends it ends the others."""
-    comes = _comes(line, seen)
-    pending: Ids = line.pending[seen.ids]
-    pending = np.where(comes & (pending == _NEVER), seen.frame, pending)
-    pending[seen.holds | seen.free] = _NEVER
-    line.pending[seen.ids] = pending
+    comes = _comes(line, observation)
+    pending: Ids = line.pending[observation.ids]
+    pending = np.where(comes & (pending == _NEVER), observation.frame, pending)
+    pending[observation.holds | observation.free] = _NEVER
+    line.pending[observation.ids] = pending
     waiting = pending != _NEVER
-    gone = line._left(seen, waiting)
-    if len(gone):
+    removed_ids = line._left(observation, waiting)
+    if len(removed_ids):
         line.why = LEFT
-        return gone
+        return removed_ids
     if line.steps is not None:
-        late: Ids = seen.ids[waiting & (seen.frame >= pending + line.steps)]
+        late: Ids = observation.ids[waiting & (observation.frame >= pending + line.steps)]
         if len(late):
             line.why = TIME_OVER
             return late
-    elif seen.final and waiting.any():
+    elif observation.final and waiting.any():
         line.why = RUN_OVER
-        still: Ids = seen.ids[waiting]
+        still: Ids = observation.ids[waiting]
         return still
-    return _NOBODY
+    return _NO_IDS
 
 
-def _since_for(line: Line, seen: Seen) -> Ids:
+def _since_for(line: Line, observation: Observation) -> Ids:
     """Of several overlapping times, the last one counts: it ends after the others."""
     assert line.steps is not None
-    comes = _comes(line, seen)
-    line.pending[seen.ids[comes]] = seen.frame
-    under_way = seen.frame <= line.pending[seen.ids] + line.steps
-    return seen.ids[under_way & ~seen.holds & ~seen.free]
+    comes = _comes(line, observation)
+    line.pending[observation.ids[comes]] = observation.frame
+    under_way = observation.frame <= line.pending[observation.ids] + line.steps
+    return observation.ids[under_way & ~observation.holds & ~observation.free]
 
 
-def _met(line: Line, seen: Seen) -> Ids:
+def _find_holding(line: Line, observation: Observation) -> Ids:
     """Return the ids for which `until` or `sooner` holds; these alone fail no agent."""
-    return seen.ids[seen.holds]
+    return observation.ids[observation.holds]
 
 
-_KINDS: Mapping[str, Callable[[Line, Seen], Ids]] = {
-    "until": _met,
-    "sooner": _met,
+_KINDS: Mapping[str, Callable[[Line, Observation], Ids]] = {
+    "until": _find_holding,
+    "sooner": _find_holding,
     "always": _always,
     "never": _never,
     "finally": _finally,
@@ -196,4 +198,8 @@ _KINDS: Mapping[str, Callable[[Line, Seen], Ids]] = {
     "eventually": _eventually,
     "within": _eventually,
 }
-_SINCE: Mapping[str, Callable[[Line, Seen], Ids]] = {"within": _since_within, "eventually": _since_within, "for": _since_for}
+_SINCE: Mapping[str, Callable[[Line, Observation], Ids]] = {
+    "within": _since_within,
+    "eventually": _since_within,
+    "for": _since_for,
+}

@@ -23,13 +23,13 @@ from antdsl.runtime.lifecycle import find_cells
 from antdsl.runtime.requests import Effects
 from antdsl.runtime.world import AXES, DTYPES, Items, Population, World
 from antdsl.senses.overlaps import worst_overlaps
-from antdsl.specs.aggregates import value_of, whole
+from antdsl.specs.aggregates import evaluate_aggregate, value_of
 
 Floats = NDArray[np.float32]
 _UNKNOWN = 1e300  # what no float32 can be: of agents that were not there yet
 
 
-class Asker:
+class Questioner:
     """Evaluates a spec's questions. Call `ask` at each frame from the first on; then `values` has the numbers about the whole, by
     name."""
 
@@ -52,76 +52,84 @@ class Asker:
         self.values |= others
         for items in world.items.values():
             items.show()
-        there = copy(world)
-        there.plan, there.backend, there.grids, there.clearances, there.touching = self.plan.plan, self.backend, {}, {}, None
-        there.populations = {name: self._judged(there, name) for name in self.plan.plan.species}
-        there.spec_values = dict.fromkeys(self.names, np.float32(0))  # no value is computed yet
-        self.backend.begin(there)
-        self.run(there, "decide")
+        spec_world = copy(world)
+        spec_world.plan, spec_world.backend, spec_world.grids, spec_world.clearances, spec_world.touching = (
+            self.plan.plan,
+            self.backend,
+            {},
+            {},
+            None,
+        )
+        spec_world.populations = {name: self._judged(spec_world, name) for name in self.plan.plan.species}
+        spec_world.spec_values = dict.fromkeys(self.names, np.float32(0))  # no value is computed yet
+        self.backend.begin(spec_world)
+        self.run(spec_world, "decide")
         for each in self.plan.wholes:
-            self.values[each.name] = whole(world, there.populations, each)
+            self.values[each.name] = evaluate_aggregate(world, spec_world.populations, each)
         for start in self.plan.starts:
             if start.value is not None:
                 if start.name not in self.values:
                     self.values[start.name] = value_of(world, start.value, self.values)
-            elif start.species is not None and start.asked is not None:
-                self._remember(there.populations[start.species], start.name, start.asked)
-        there.spec_values |= {name: np.float32(number) for name, number in self.values.items()}
-        self.backend.begin(there)
-        self.run(there, "act")
-        return there
+            elif start.species is not None and start.source_register is not None:
+                self._remember(spec_world.populations[start.species], start.name, start.source_register)
+        spec_world.spec_values |= {name: np.float32(number) for name, number in self.values.items()}
+        self.backend.begin(spec_world)
+        self.run(spec_world, "act")
+        return spec_world
 
-    def run(self, there: World, block: str, species: str | None = None, rows: Any = None) -> None:
+    def run(self, spec_world: World, block: str, species: str | None = None, rows: Any = None) -> None:
         """Evaluate the questions of a block for all agents, or for these rows of a species."""
-        for name, population in there.populations.items():
+        for name, population in spec_world.populations.items():
             if len(population) and getattr(population.plan, block).statements and species in (None, name):
-                self.backend.run(there, population, block, rows)
+                self.backend.run(spec_world, population, block, rows)
 
     def _measure(self, world: World) -> None:
         for name, number in world.motion.summary().items():
             unknown = world.motion.ways == 0 and name in ("circling", "straightness")
-            told = radians(number) if MOTION[name] == "angle" else number
-            self.values[f"motion.{name}"] = np.float32(np.nan if unknown else told)
+            value = radians(number) if MOTION[name] == "angle" else number
+            self.values[f"motion.{name}"] = np.float32(np.nan if unknown else value)
 
-    def _judged(self, there: World, name: str) -> Population:
+    def _judged(self, spec_world: World, name: str) -> Population:
         """Return all agents of a species, all items of a name or all cells of a field, to be queried one by one."""
-        if name in there.items:
-            return self._items(there.items[name])
-        return self._cells(there, name) if name in there.fields else self._agents(there, there.populations[name])
+        if name in spec_world.items:
+            return self._items(spec_world.items[name])
+        return (
+            self._cells(spec_world, name) if name in spec_world.fields else self._agents(spec_world, spec_world.populations[name])
+        )
 
-    def _cells(self, there: World, name: str) -> Population:
+    def _cells(self, spec_world: World, name: str) -> Population:
         """Cells of a field as if they were agents."""
-        plan, values = self.plan.plan.species[name], np.asarray(there.fields[name].values)
+        plan, values = self.plan.plan.species[name], np.asarray(spec_world.fields[name].values)
         start, count = {"value": values.astype(np.float32)}, len(values)
         nowhere = np.broadcast_to(np.zeros(3), (count, 3))
         now = _answers(plan.registers, start, count)
-        return _asked(plan, start, now, nowhere)
+        return _make_population(plan, start, now, nowhere)
 
-    def _agents(self, there: World, population: Population) -> Population:
+    def _agents(self, spec_world: World, population: Population) -> Population:
         """Return a population with the same agents and with registers for answers."""
-        found = copy(population)
-        found.plan, found.effects, found.cells = self.plan.plan.species[population.name], Effects(), {}
+        respondents = copy(population)
+        respondents.plan, respondents.effects, respondents.cells = self.plan.plan.species[population.name], Effects(), {}
         count = len(population)
-        registers = found.plan.registers
-        found.now = _answers(registers, population.start, count)
+        registers = respondents.plan.registers
+        respondents.now = _answers(registers, population.start, count)
         for name in self.plan.bodily.get(population.name, ()):
-            found.now[f"geometry.{name}"] = measured(there, population, name)
-        found.start = {**population.start, **found.now}
+            respondents.now[f"geometry.{name}"] = measured(spec_world, population, name)
+        respondents.start = {**population.start, **respondents.now}
         if population.name in self.smelling:
-            find_cells(there, found)
-        return found
+            find_cells(spec_world, respondents)
+        return respondents
 
     def _items(self, items: Items) -> Population:
         """Return items as if they were agents of a separate species."""
         plan, count = self.plan.plan.species[items.name], len(items)
-        start = {f"position.{axis}": items.seen[axis] for axis in AXES}
-        start |= {name: items.seen[name] for name in ("radius", *items.amounts)}
+        start = {f"position.{axis}": items.visible_values[axis] for axis in AXES}
+        start |= {name: items.visible_values[name] for name in ("radius", *items.amounts)}
         now = _answers(plan.registers, start, count)
-        return _asked(plan, start, now, items.position)
+        return _make_population(plan, start, now, items.position)
 
-    def _remember(self, judged: Population, name: str, asked: str) -> None:
+    def _remember(self, judged: Population, name: str, register: str) -> None:
         """Copy the value of a number in each agent's first frame to the register that the conditions read."""
-        ids, now = judged.ids, judged.now[asked]
+        ids, now = judged.ids, judged.now[register]
         values = self.starts[name] = by_id(self.starts.get(name, np.zeros(0)), ids, _UNKNOWN)
         values[ids] = np.where(values[ids] == _UNKNOWN, now, values[ids])
         judged.start[name] = values[ids].astype(np.float32)
@@ -129,17 +137,17 @@ class Asker:
 
 def by_id(table: NDArray[Any], ids: NDArray[np.int64], unknown: Any) -> NDArray[Any]:
     """Return the table, extended to every existing id; ids count from 0."""
-    more = int(ids.max(initial=-1)) + 1 - len(table)
-    return table if more <= 0 else np.concatenate([table, np.full(max(more, len(table)), unknown, table.dtype)])
+    missing_count = int(ids.max(initial=-1)) + 1 - len(table)
+    return table if missing_count <= 0 else np.concatenate([table, np.full(max(missing_count, len(table)), unknown, table.dtype)])
 
 
-def _asked(
+def _make_population(
     plan: ir.SpeciesPlan, start: dict[str, NDArray[Any]], now: dict[str, NDArray[Any]], place: NDArray[np.float64]
 ) -> Population:
     """Return a population of things that are not agents, at positions [n,3], without ground."""
     n = len(place)
-    nobody, ids = np.zeros(n, np.bool_), np.arange(n)
-    return Population(plan, ids, np.zeros(n, np.int64), nobody, start, now, place, Footing.nowhere(n), {}, {})
+    no_flags, ids = np.zeros(n, np.bool_), np.arange(n)
+    return Population(plan, ids, np.zeros(n, np.int64), no_flags, start, now, place, Footing.nowhere(n), {}, {})
 
 
 def _answers(registers: Mapping[str, ir.Register], known: Mapping[str, Any], count: int) -> dict[str, NDArray[Any]]:
@@ -150,8 +158,10 @@ def _answers(registers: Mapping[str, ir.Register], known: Mapping[str, Any], cou
 
 def _smells(species: ir.SpeciesPlan) -> bool:
     """Return whether a block reads the agent's own cell of a field."""
-    asked = (node for block in (species.decide, species.act, species.blend) for _, s in statements(block) for node in operands(s))
-    return any(node.op.startswith("field.") for node in needed(asked))
+    operand_nodes = (
+        node for block in (species.decide, species.act, species.blend) for _, s in statements(block) for node in operands(s)
+    )
+    return any(node.op.startswith("field.") for node in needed(operand_nodes))
 
 
 def measured(world: World, population: Population, name: str) -> Floats:
@@ -161,8 +171,8 @@ def measured(world: World, population: Population, name: str) -> Floats:
 
 def _overlap(world: World, population: Population) -> Floats:
     """Return the worst overlap of each agent with any other of all species: 0 apart, 1 at the same position."""
-    everybody = list(world.populations.values())
-    known = [each for each in everybody if "radius" in each.start and "position.x" in each.start and each.footing is not None]
+    populations = list(world.populations.values())
+    known = [each for each in populations if "radius" in each.start and "position.x" in each.start and each.footing is not None]
     x, y, z, radius = (
         np.concatenate([each.start[name] for each in known]) for name in ("position.x", "position.y", "position.z", "radius")
     )
@@ -174,14 +184,14 @@ def _overlap(world: World, population: Population) -> Floats:
 
 def _penetration(world: World, population: Population) -> Floats:
     """Return how deep each agent's middle is inside an obstacle that is a closed mesh, or inside a solid; 0 outside of all."""
-    deep = np.zeros(len(population))
+    depth = np.zeros(len(population))
     for name in world.plan.of_kind("obstacle"):
         scene = world.obstacles.get(name)
         if isinstance(scene, RayScene):
-            deep = np.maximum(deep, scene.depth(population.position))
+            depth = np.maximum(depth, scene.depth(population.position))
     for volume in world.solids.values():
-        deep = np.maximum(deep, -volume.sample(population.position))
-    return deep.astype(np.float32)
+        depth = np.maximum(depth, -volume.sample(population.position))
+    return depth.astype(np.float32)
 
 
 def _off_surface(world: World, population: Population) -> Floats:

@@ -11,12 +11,12 @@ from xml.etree import ElementTree
 from antdsl.diagnostics import Diagnostic, Report
 from antdsl.diagnostics.full import full
 from antdsl.diagnostics.places import area, safe
-from antdsl.loading import shown
+from antdsl.loading import display_path
 from antdsl.source import Span
 from antdsl.specs.cases import Case, Failure, SavedFrames
 from antdsl.specs.coverage import Counted, Coverage
 from antdsl.specs.golden.recorded import GoldenResult
-from antdsl.specs.text_report import golden, told
+from antdsl.specs.text_report import describe_failure, golden
 
 
 def as_json(cases: Sequence[Case], coverage: Coverage, report: Report, goldens: Sequence[GoldenResult] = ()) -> str:
@@ -33,8 +33,8 @@ def as_json(cases: Sequence[Case], coverage: Coverage, report: Report, goldens: 
         ],
         "covered": coverage.share,
         "coverage": {
-            "states": [_met(each) for each in coverage.states.values()],
-            "changes": [_met(each) for each in coverage.changes.values()],
+            "states": [_as_entry(each) for each in coverage.states.values()],
+            "changes": [_as_entry(each) for each in coverage.changes.values()],
         },
     }
     return json.dumps(document, indent=1, ensure_ascii=False) + "\n"
@@ -44,19 +44,19 @@ def _case(case: Case) -> dict[str, Any]:
     return {
         "name": case.name,
         "place": _place(case.spec.span),
-        "scene": shown(case.scene),
+        "scene": display_path(case.scene),
         "seed": case.seed,
         "set": {change.name: change.value.span.text for change in case.spec.changes},
         "outcome": case.outcome,
         "frames": case.frames,
         "seconds": round(case.seconds, 3),
         "failures": [_failure(failure) for failure in case.failures],
-        "kept": None if case.kept is None else _saved(case.kept),
+        "kept": None if case.saved_frames is None else _saved(case.saved_frames),
     }
 
 
 def _saved(saved: SavedFrames) -> dict[str, Any]:
-    folder = None if saved.folder is None else shown(saved.folder)
+    folder = None if saved.folder is None else display_path(saved.folder)
     return {
         "folder": folder, "note": saved.note, "begins": saved.begins, "frame": saved.frame, "look": saved.look,
         "again": saved.again,
@@ -65,16 +65,16 @@ def _saved(saved: SavedFrames) -> dict[str, Any]:
 
 def _golden(result: GoldenResult) -> dict[str, Any]:
     return {
-        "scene": shown(result.scene),
+        "scene": display_path(result.scene),
         "set": dict(result.changes),
         "seed": result.seed,
         "outcome": result.outcome,
         "frames": result.frames,
         "frame": result.frame,
-        "seen": result.seen,
+        "seen": result.detail_frame,
         "words": result.words,
-        "made": result.made,
-        "differences": [{"who": d.who, "what": d.what, "whom": d.whom, "now": d.now, "was": d.was} for d in result.found],
+        "made": result.origin,
+        "differences": [{"who": d.who, "what": d.what, "whom": d.member, "now": d.now, "was": d.was} for d in result.found],
     }
 
 
@@ -93,7 +93,7 @@ def _failure(failure: Failure) -> dict[str, Any]:
     }
 
 
-def _met(each: Counted) -> dict[str, Any]:
+def _as_entry(each: Counted) -> dict[str, Any]:
     return {"name": each.name, "place": _place(each.span), "count": each.count}
 
 
@@ -126,10 +126,10 @@ def as_junit(cases: Sequence[Case], report: Report, goldens: Sequence[GoldenResu
         suite = ElementTree.SubElement(root, "testsuite", {"name": "golden runs"} | _counts((), 0, len(goldens), len(differ)))
         for result in goldens:
             name = safe(f"{result.name}, seed {result.seed}")
-            made = ElementTree.SubElement(suite, "testcase", classname=safe(result.scene.stem), name=name)
+            testcase = ElementTree.SubElement(suite, "testcase", classname=safe(result.scene.stem), name=name)
             if result.outcome == "differs":
                 message = f"differs from frame {result.frame} on"
-                ElementTree.SubElement(made, "failure", message=message, type="golden").text = golden(result)
+                ElementTree.SubElement(testcase, "failure", message=message, type="golden").text = golden(result)
     ElementTree.indent(root)
     return '<?xml version="1.0" encoding="utf-8"?>\n' + ElementTree.tostring(root, encoding="unicode") + "\n"
 
@@ -153,17 +153,17 @@ def _junit_error(suite: ElementTree.Element, problem: Diagnostic) -> None:
 def _junit_case(suite: ElementTree.Element, case: Case) -> None:
     place = area(case.spec.span)
     name = f"{case.name} [{Path(case.scene).name}, seed {case.seed}]"
-    made = ElementTree.SubElement(
+    testcase = ElementTree.SubElement(
         suite, "testcase", classname=safe(Path(place.path).stem), name=safe(name), file=safe(place.path), line=str(place.line),
         time=f"{case.seconds:.3f}",
     )  # fmt: skip
     if case.outcome == "waiting":
-        ElementTree.SubElement(made, "skipped", message="stopped before it was finished")
+        ElementTree.SubElement(testcase, "skipped", message="stopped before it was finished")
     elif case.outcome == "allowed":
-        ElementTree.SubElement(made, "skipped", message="failed, and enough of the other seeds passed")
+        ElementTree.SubElement(testcase, "skipped", message="failed, and enough of the other seeds passed")
     elif case.failures:
-        text = "\n".join(line for failure in case.failures for line in told(failure))
-        if case.kept is not None and case.kept.folder is not None:
-            text += f"\nsee it: {safe(case.kept.look)}\ngo on from it: {safe(case.kept.again)}"
+        text = "\n".join(line for failure in case.failures for line in describe_failure(failure))
+        if case.saved_frames is not None and case.saved_frames.folder is not None:
+            text += f"\nsee it: {safe(case.saved_frames.look)}\ngo on from it: {safe(case.saved_frames.again)}"
         message = safe(case.failures[0].message)
-        ElementTree.SubElement(made, "failure", message=message, type="spec").text = text
+        ElementTree.SubElement(testcase, "failure", message=message, type="spec").text = text

@@ -10,28 +10,29 @@ from time import perf_counter
 from antdsl.pipeline import Shot
 from antdsl.runtime import BindError, Built, FaultStop, Options, World, bind, step
 from antdsl.specs.cases import Case, Failure, Run
-from antdsl.specs.comparison import Rival
+from antdsl.specs.comparison import ComparedRun
 from antdsl.specs.coverage import Coverage
-from antdsl.specs.failure_cache import Keeper, Moment, Trail
+from antdsl.specs.failure_cache import FailurePoint, FailureSaver, Trail
 from antdsl.specs.golden.comparing import Goldens
 from antdsl.specs.judge import Judge, last_frame
 
-Told = Callable[[Run, int, int], None]
+FrameCallback = Callable[[Run, int, int], None]
 
 
 @dataclass(slots=True)
 class Work:
-    """What to find out in addition to the outcomes, and the callbacks: `done` for each case, `frame` for the progress of a run.
-    `told`: sentences for the user on what differed from the request in a run, each once; none of it changes a verdict."""
+    """What to find out in addition to the outcomes, and the callbacks: `report_case` for each case, `frame` for the progress of a
+    run. `messages`: sentences for the user on what differed from the request in a run, each once; none of it changes a
+    verdict."""
 
     options: Options
     coverage: Coverage = field(default_factory=Coverage)
-    keeper: Keeper | None = None
+    failure_saver: FailureSaver | None = None
     goldens: Goldens | None = None
-    done: Callable[[Case], None] = lambda case: None
-    frame: Told = lambda run, frame, last: None
+    report_case: Callable[[Case], None] = lambda case: None
+    frame: FrameCallback = lambda run, frame, last: None
     built: Built = field(default_factory=Built)  # runs of one scene differ by seeds and params and stand on the same ground
-    told: dict[str, None] = field(default_factory=dict)
+    messages: dict[str, None] = field(default_factory=dict)
     worlds: list[World] = field(default_factory=list)  # of the run under way
 
 
@@ -39,7 +40,7 @@ def run_cases(runs: Iterable[Run], work: Work) -> None:
     """Run everything and set the outcome of each case. A problem of one run, even a fault, only fails its own cases."""
     for run in runs:
         started = perf_counter()
-        moments: dict[int, Moment] = {}
+        moments: dict[int, FailurePoint] = {}
         try:
             _run(run, work, moments)
         except BindError as why:
@@ -49,14 +50,14 @@ def run_cases(runs: Iterable[Run], work: Work) -> None:
             _fail(run, Failure(f"the run came to an end: {why or type(why).__name__}".lower(), None))
         finally:
             for world in work.worlds:
-                work.told |= dict.fromkeys(world.backend.told())
+                work.messages |= dict.fromkeys(world.backend.messages())
             work.worlds.clear()
         for case in run.cases:  # what a run took is shared by its cases
             case.outcome = "failed" if case.failures else "passed"
             case.seconds = (perf_counter() - started) / len(run.cases)
-            if work.keeper is not None and id(case) in moments:
-                case.kept = work.keeper.save(run, case, moments[id(case)], work.built)
-            work.done(case)
+            if work.failure_saver is not None and id(case) in moments:
+                case.saved_frames = work.failure_saver.save(run, case, moments[id(case)], work.built)
+            work.report_case(case)
         work.built.forget()
 
 
@@ -65,14 +66,14 @@ def _fail(run: Run, failure: Failure) -> None:
         case.failures.append(failure)
 
 
-def _run(run: Run, work: Work, moments: dict[int, Moment]) -> None:
+def _run(run: Run, work: Work, moments: dict[int, FailurePoint]) -> None:
     """Simulate and judge. `moments` receives the first failure of each case, by its id."""
     rivals = _rivals(run, work)
     try:
         world = _begin(run.shot, run.seed, work)
     except FaultStop as why:
         return _faulted(run, why)
-    first, trail = world.frame, None if work.keeper is None else Trail(run.shot.setting)
+    first, trail = world.frame, None if work.failure_saver is None else Trail(run.shot.setting)
     judges = [
         (case, Judge(case.plan, world, run.shot.frames.last, rivals.get(id(case)))) for case in run.cases if not case.failures
     ]
@@ -85,7 +86,7 @@ def _run(run: Run, work: Work, moments: dict[int, Moment]) -> None:
                 judge.look(world)
                 case.failures[:] = judge.failures
                 if judge.failures and trail is not None and id(case) not in moments:
-                    moments[id(case)] = trail.moment(world)
+                    moments[id(case)] = trail.failure_point(world)
         if watch is not None:
             watch.look(world)
         work.frame(run, world.frame - first, last - first)
@@ -93,13 +94,13 @@ def _run(run: Run, work: Work, moments: dict[int, Moment]) -> None:
             return None if watch is None else watch.end(world)
         if trail is not None:
             trail.keep(world)
-        whole = world.frame
+        frame_number = world.frame
         try:
             step(world)
         except FaultStop as why:
             if trail is not None and trail.last is not None:
-                found = Moment(whole, None, trail.last)
-                moments |= {id(case): found for case in run.cases if id(case) not in moments}
+                failure_point = FailurePoint(frame_number, None, trail.last)
+                moments |= {id(case): failure_point for case in run.cases if id(case) not in moments}
             return _faulted(run, why)
 
 
@@ -121,35 +122,35 @@ def _faulted(run: Run, why: FaultStop) -> None:
 
 
 def _fault(why: FaultStop, where: str) -> Failure:
-    found = why.fault
-    whose = (found.species, found.agent)
-    words = f"{where}`{found.what}` {found.why}"
-    return Failure(words, found.span, found.frame, None, found.operands, whose, 0, (found.agent,))
+    fault = why.fault
+    culprit = (fault.species, fault.agent)
+    words = f"{where}`{fault.what}` {fault.why}"
+    return Failure(words, fault.span, fault.frame, None, fault.operands, culprit, 0, (fault.agent,))
 
 
-def _rivals(run: Run, work: Work) -> dict[int, Rival]:
+def _rivals(run: Run, work: Work) -> dict[int, ComparedRun]:
     """Return the runs that cases compare with, by the case's id. Those of one shot are simulated once. A fault there fails these
     cases."""
-    found: dict[int, Rival] = {}
+    compared_runs: dict[int, ComparedRun] = {}
     for shot in {id(case.against.shot): case.against.shot for case in run.cases if case.against is not None}.values():
         mine = [case for case in run.cases if case.against is not None and case.against.shot is shot]
         try:
-            found |= _watched(run, work, shot, mine)
+            compared_runs |= _watched(run, work, shot, mine)
         except FaultStop as why:
             for case in mine:
                 case.failures.append(_fault(why, "in the run that is compared with, "))
-    return found
+    return compared_runs
 
 
-def _watched(run: Run, work: Work, shot: Shot, cases: list[Case]) -> dict[int, Rival]:
+def _watched(run: Run, work: Work, shot: Shot, cases: list[Case]) -> dict[int, ComparedRun]:
     """Simulate one run that cases compare with, to the last frame that one of them needs."""
     world = _begin(shot, run.seed, work)
     first = world.frame
-    rivals = {id(case): Rival(case.against.plan, world) for case in cases if case.against is not None}
+    rivals = {id(case): ComparedRun(case.against.plan, world) for case in cases if case.against is not None}
     last = max(last_frame(case.plan, world, first + run.shot.frames.last - run.shot.frames.first) for case in cases)
     while True:
-        for rival in rivals.values():
-            rival.look(world)
+        for compared_run in rivals.values():
+            compared_run.look(world)
         work.frame(run, world.frame - first, last - first)
         if world.frame >= last:
             return rivals

@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from antdsl.diagnostics.places import safe
-from antdsl.loading import shown
+from antdsl.loading import display_path
 from antdsl.specs.cases import Case, Failure, SavedFrames, Verdict
 from antdsl.specs.coverage import Counted, Coverage
 from antdsl.specs.golden.recorded import GoldenResult
 
-_MOST_TOLD = 20  # unreached states and transitions listed in words
+_MOST_UNCOVERED = 20  # unreached states and transitions listed in words
 _MOST_DIFFERENCES = 6
 
 
@@ -21,42 +21,42 @@ def one_line(case: Case) -> str:
 
 def failed(case: Case) -> str:
     """Return the case's line, then each failure with its location, frame, agent and values; then how to view it."""
-    lines = [one_line(case), *(f"  {line}" for failure in case.failures for line in told(failure))]
-    return "\n".join(lines + ([] if case.kept is None else [f"  {line}" for line in _saved(case.kept)]))
+    lines = [one_line(case), *(f"  {line}" for failure in case.failures for line in describe_failure(failure))]
+    return "\n".join(lines + ([] if case.saved_frames is None else [f"  {line}" for line in _saved(case.saved_frames)]))
 
 
-def told(failure: Failure) -> list[str]:
+def describe_failure(failure: Failure) -> list[str]:
     """Return a failure in lines: what was expected where, when it failed, for which agents, and the values."""
     where = f"{failure.span}: " if failure.span is not None else ""
     lines = [f"{safe(where)}{safe(failure.message)}"]
     if failure.frame is not None:
         when = f"  first at frame {failure.frame}"
         when += f", {failure.time:.6g} s from the start" if failure.time is not None else ""
-        lines.append(when + (f", by {_whom(failure)}" if failure.agent else ""))
+        lines.append(when + (f", by {_name_agents(failure)}" if failure.agent else ""))
     if failure.began is not None:
         lines.append(f"  waiting since frame {failure.began}")
     if failure.others and (failure.values or failure.whereabouts):
         lines.append(f"  of {_one(failure)}:")
-    asked = {text for text, _ in failure.values}
-    besides = [pair for pair in failure.whereabouts if pair[0] not in asked]
-    return lines + [f"    {safe(text)} is {safe(value)}" for text, value in (*failure.values, *besides)]
+    value_names = {text for text, _ in failure.values}
+    other_values = [pair for pair in failure.whereabouts if pair[0] not in value_names]
+    return lines + [f"    {safe(text)} is {safe(value)}" for text, value in (*failure.values, *other_values)]
 
 
 def _one(failure: Failure) -> str:
     return "" if failure.agent is None else f"{failure.agent[0]} {failure.agent[1]}"
 
 
-def _whom(failure: Failure) -> str:
+def _name_agents(failure: Failure) -> str:
     assert failure.agent is not None
     named = failure.agents or (failure.agent[1],)
-    more = failure.others + 1 - len(named)
-    return f"{failure.agent[0]} {', '.join(map(str, named))}" + (f" and {more} more" if more > 0 else "")
+    remainder = failure.others + 1 - len(named)
+    return f"{failure.agent[0]} {', '.join(map(str, named))}" + (f" and {remainder} more" if remainder > 0 else "")
 
 
 def _saved(saved: SavedFrames) -> list[str]:
     if saved.folder is None:
         return [safe(saved.note)]
-    lines = [f"saved: frames {saved.begins} to {saved.frame} in {safe(shown(saved.folder))}"]
+    lines = [f"saved: frames {saved.begins} to {saved.frame} in {safe(display_path(saved.folder))}"]
     lines += [safe(saved.note)] if saved.note else []
     return [*lines, f"  see it:         {safe(saved.look)}", f"  go on from it:  {safe(saved.again)}"]
 
@@ -76,26 +76,26 @@ def golden(result: GoldenResult) -> str:
         return line + (result.words or f"{result.frames} frames")
     lines = [f"{line}first at frame {result.frame}"]
     lines += [f"  {result.words}"] if result.words else []
-    if result.seen is not None and result.seen != result.frame:
-        lines.append(f"  seen at frame {result.seen}, the next that is stored in detail:")
+    if result.detail_frame is not None and result.detail_frame != result.frame:
+        lines.append(f"  seen at frame {result.detail_frame}, the next that is stored in detail:")
     lines += [f"  {safe(str(each))}" for each in result.found[:_MOST_DIFFERENCES]]
-    more = len(result.found) - _MOST_DIFFERENCES
-    lines += [f"  and {more} more attributes"] if more > 0 else []
-    lines += [f"  it was made with {safe(result.made)}, which is not what runs here"] if result.made else []
+    remainder = len(result.found) - _MOST_DIFFERENCES
+    lines += [f"  and {remainder} more attributes"] if remainder > 0 else []
+    lines += [f"  it was made with {safe(result.origin)}, which is not what runs here"] if result.origin else []
     return "\n".join([*lines, "  if that is how it should be now, keep it: the same command with --update"])
 
 
 def counted(cases: Sequence[Case], mistakes: int, goldens: Sequence[GoldenResult] = ()) -> str:
     """`5 passed, 1 failed, 2 mistakes in files`."""
     numbers = {word: sum(case.outcome == word for case in cases) for word in ("passed", "failed", "allowed", "waiting")}
-    told = [f"{numbers['passed']} passed"]
-    told += [f"{numbers['failed']} failed"] if numbers["failed"] else []
-    told += [f"{numbers['allowed']} allowed to fail"] if numbers["allowed"] else []
-    told += [f"{numbers['waiting']} not finished"] if numbers["waiting"] else []
+    phrases = [f"{numbers['passed']} passed"]
+    phrases += [f"{numbers['failed']} failed"] if numbers["failed"] else []
+    phrases += [f"{numbers['allowed']} allowed to fail"] if numbers["allowed"] else []
+    phrases += [f"{numbers['waiting']} not finished"] if numbers["waiting"] else []
     differ = sum(result.outcome == "differs" for result in goldens)
-    told += [f"{differ} golden run{'s' if differ > 1 else ''} differ{'' if differ > 1 else 's'}"] if differ else []
-    told += [f"{mistakes} mistake{'s' if mistakes > 1 else ''} in files"] if mistakes else []
-    return ", ".join(told)
+    phrases += [f"{differ} golden run{'s' if differ > 1 else ''} differ{'' if differ > 1 else 's'}"] if differ else []
+    phrases += [f"{mistakes} mistake{'s' if mistakes > 1 else ''} in files"] if mistakes else []
+    return ", ".join(phrases)
 
 
 def covered(coverage: Coverage) -> str:
@@ -113,12 +113,12 @@ def uncovered(coverage: Coverage) -> str:
     lines = []
     for what, verb, table in (("states", "entered", coverage.states), ("changes", "made", coverage.changes)):
         if table:
-            met = sum(each.count > 0 for each in table.values())
-            lines.append(f"{what} {verb}: {met} of {len(table)}")
+            covered_count = sum(each.count > 0 for each in table.values())
+            lines.append(f"{what} {verb}: {covered_count} of {len(table)}")
     never = _never(coverage)
-    lines += [f"  {each.span}: `{_short(each.name)}` was never {verb}" for each, verb in never[:_MOST_TOLD]]
-    if len(never) > _MOST_TOLD:
-        lines.append(f"  and {len(never) - _MOST_TOLD} more")
+    lines += [f"  {each.span}: `{_short(each.name)}` was never {verb}" for each, verb in never[:_MOST_UNCOVERED]]
+    if len(never) > _MOST_UNCOVERED:
+        lines.append(f"  and {len(never) - _MOST_UNCOVERED} more")
     return "\n".join(lines)
 
 
@@ -128,6 +128,6 @@ def _short(name: str) -> str:
 
 
 def _never(coverage: Coverage) -> list[tuple[Counted, str]]:
-    found = [(each, "entered") for each in coverage.states.values() if not each.count]
-    found += [(each, "made") for each in coverage.changes.values() if not each.count]
-    return sorted(found, key=lambda pair: (pair[0].span.source.path, pair[0].span.start))
+    entries = [(each, "entered") for each in coverage.states.values() if not each.count]
+    entries += [(each, "made") for each in coverage.changes.values() if not each.count]
+    return sorted(entries, key=lambda pair: (pair[0].span.source.path, pair[0].span.start))

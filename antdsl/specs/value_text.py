@@ -12,11 +12,11 @@ from antdsl.program.model import Kind, Type
 from antdsl.program.tables.units import measure
 from antdsl.runtime.world import World
 
-_PLACES = 6  # after the point of a coordinate
+_DECIMALS = 6  # after the point of a coordinate
 
 
-def shown(world: World, value: Any, type: Type, unit: str, whole: bool = False) -> str:
-    """Format a value: `41.3 mm/s`, `12 %`, `carry`, `yes`, `apple`. `whole`: a number with all digits instead of six."""
+def format_value(world: World, value: Any, type: Type, unit: str, is_exact: bool = False) -> str:
+    """Format a value: `41.3 mm/s`, `12 %`, `carry`, `yes`, `apple`. `is_exact`: a number with all digits instead of six."""
     match type.kind:
         case Kind.BOOL:
             return "yes" if value else "no"
@@ -27,18 +27,18 @@ def shown(world: World, value: Any, type: Type, unit: str, whole: bool = False) 
             return names[int(value)] if 0 <= int(value) < len(names) else "none"
         case Kind.AGENT:
             return f"{type.of} {int(value)}" if int(value) >= 0 else "none"
-    return _number(world, value, unit, whole)
+    return _number(world, value, unit, is_exact)
 
 
 def whereabouts(world: World, species: str, row: int) -> tuple[tuple[str, str], ...]:
     """Return an agent's states, since when, and its position in the scene's units."""
     population = world.populations[species]
-    found = []
+    entries = []
     for machine in population.plan.machines:
         state = machine.states[int(population.now[f"{machine.name}.state"][row])]
         since = float(population.now[f"{machine.name}.time_in_state"][row])
-        found.append(("state" if machine.name == "main" else machine.name, f"{state}, for {since:.4g} s"))
-    return (*found, ("position", place_text(population.position[row], world.origin, world.setting.unit_mm)))
+        entries.append(("state" if machine.name == "main" else machine.name, f"{state}, for {since:.4g} s"))
+    return (*entries, ("position", place_text(population.position[row], world.origin, world.setting.unit_mm)))
 
 
 def place_text(position: Iterable[float], origin: Iterable[float], unit_mm: float) -> str:
@@ -48,8 +48,8 @@ def place_text(position: Iterable[float], origin: Iterable[float], unit_mm: floa
 
 
 def _coordinate(relative: float, origin: float) -> str:
-    places = 3 - math.floor(math.log10(abs(relative))) if relative and math.isfinite(relative) else 1
-    text = f"{origin + relative:.{min(max(places, 1), _PLACES)}f}".rstrip("0").rstrip(".")
+    decimals = 3 - math.floor(math.log10(abs(relative))) if relative and math.isfinite(relative) else 1
+    text = f"{origin + relative:.{min(max(decimals, 1), _DECIMALS)}f}".rstrip("0").rstrip(".")
     return "0" if text == "-0" else text
 
 
@@ -60,7 +60,7 @@ def _state(world: World, index: int, machine: str) -> str:
     return states[index] if 0 <= index < len(states) else str(index)
 
 
-def _number(world: World, value: Any, unit: str, whole: bool) -> str:
+def _number(world: World, value: Any, unit: str, is_exact: bool) -> str:
     if np.isnan(value):
         return "no number"
     if np.isinf(value):
@@ -68,5 +68,5 @@ def _number(world: World, value: Any, unit: str, whole: bool) -> str:
     known = measure(unit) if unit else None
     one = 1.0 if known is None else known.factor * world.setting.unit_mm**known.u * world.dt**known.step
     number = type(value)(float(value) / one)
-    text = np.format_float_positional(number, trim="-") if whole else f"{number:.6g}"
+    text = np.format_float_positional(number, trim="-") if is_exact else f"{number:.6g}"
     return f"{text} {unit}".strip()

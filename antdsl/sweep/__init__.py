@@ -1,10 +1,10 @@
 """Many runs of scenes: varied values and seeds, one resulting table. Runs go to other processes (`executors`); finished ones are
 stored."""
 
-from antdsl.sweep.finished_runs import Keeper
+from antdsl.sweep.finished_runs import RunStore
 from antdsl.sweep.jobs import Job, Variation, jobs, variations
 from antdsl.sweep.running import Outcome, run_all
 from antdsl.sweep.stopping import Chooser
 from antdsl.sweep.table import Row, rows
 
-__all__ = ["Chooser", "Job", "Keeper", "Outcome", "Row", "Variation", "jobs", "rows", "run_all", "variations"]
+__all__ = ["Chooser", "Job", "Outcome", "Row", "RunStore", "Variation", "jobs", "rows", "run_all", "variations"]

@@ -31,7 +31,9 @@ class Design:
     is_one: str
     counted: str = ""  # what `--points` counts; empty where it is not taken
     shares: Callable[[int, int, int], Shares] | None = None
-    more: int | None = None  # each of what is counted makes so many points, and one more for each factor; None: it makes one
+    points_per_unit: int | None = (
+        None  # each of what is counted makes so many points, and one more for each factor; None: it makes one
+    )
     power_of_two: bool = False
     ranges_only: bool = False
     analysis: sensitivity.Analysis | None = None
@@ -47,10 +49,10 @@ class Chosen:
     shares: Shares | None = None
 
     @property
-    def once(self) -> list[Point]:
+    def unique_points(self) -> list[Point]:
         """Every point once, in order."""
-        found = {tuple(point.values()): point for point in self.points}
-        return list(found.values())
+        points_by_value = {tuple(point.values()): point for point in self.points}
+        return list(points_by_value.values())
 
 
 def _latin(factors: int, count: int, seed: int) -> Shares:
@@ -79,7 +81,7 @@ DESIGNS = (
         "Saltelli's sample, for Sobol indices: which share of the variance each factor makes",
         "points of the sequence behind it",
         sensitivity.saltelli_sample,
-        more=2,
+        points_per_unit=2,
         power_of_two=True,
         analysis=sensitivity.SOBOL_INDICES,
     ),
@@ -88,7 +90,7 @@ DESIGNS = (
         "Morris' trajectories, for elementary effects: which factors matter at all",
         "trajectories",
         sensitivity.morris_sample,
-        more=1,
+        points_per_unit=1,
         ranges_only=True,
         analysis=sensitivity.ELEMENTARY_EFFECTS,
     ),
@@ -103,8 +105,8 @@ def choose(word: str, factors: Sequence[Factor], points: int | None, seed: int) 
     if not report.ok:
         return None, report
     if design.shares is None or points is None:
-        wanted = [factor.levels for factor in factors]
-        combined = tuple(dict(zip((f.name for f in factors), values, strict=True)) for values in itertools.product(*wanted))
+        levels = [factor.levels for factor in factors]
+        combined = tuple(dict(zip((f.name for f in factors), values, strict=True)) for values in itertools.product(*levels))
         return Chosen(design, tuple(factors), combined), report
     shares = design.shares(len(factors), points, seed)
     named = tuple({factor.name: factor.at(float(share)) for factor, share in zip(factors, row, strict=True)} for row in shares)
@@ -146,7 +148,7 @@ def _fits(design: Design, factors: Sequence[Factor], points: int | None, report:
         near = 1 << points.bit_length()
         advice = f"write `--points {near}` or `--points {near >> 1}`"
         report.error("wrong-count", f"a Sobol sequence fills space evenly at powers of 2, and {points} is none", None, advice)
-    most = points * (1 if design.more is None else len(factors) + design.more)
+    most = points * (1 if design.points_per_unit is None else len(factors) + design.points_per_unit)
     if most > limits.SWEEP_POINTS:
         words = f"{said} with `--points {points}` has {most:,} points, and more than {limits.SWEEP_POINTS:,} are not run"
         report.error("too-large", words, None, "write a smaller `--points`")

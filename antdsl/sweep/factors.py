@@ -52,8 +52,10 @@ class Factor:
 def factors(varied: Mapping[str, str]) -> tuple[list[Factor], Report]:
     """Return factors from `NAME` to `A,B,C` or `A..B`, as in the source; unreadable ones are in the report."""
     report = Report()
-    found = [_range(name, text, report) if ".." in text else _levels(name, text, report) for name, text in varied.items()]
-    return [factor for factor in found if factor is not None], report
+    parsed_factors = [
+        _range(name, text, report) if ".." in text else _levels(name, text, report) for name, text in varied.items()
+    ]
+    return [factor for factor in parsed_factors if factor is not None], report
 
 
 def _levels(name: str, text: str, report: Report) -> Factor | None:

@@ -15,7 +15,7 @@ from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
 
 from antdsl.user_folders import cache_folder, make_private_folder
-from antdsl.whole import whole_file
+from antdsl.whole import atomic_file
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -37,11 +37,11 @@ def figure(width: float, height: float, path: Path) -> Iterator[Figure]:
 
     with matplotlib.rc_context():
         matplotlib.rcdefaults()
-        made = Figure(figsize=(width, height), layout="constrained")
-        FigureCanvasAgg(made)
-        yield made
-        with whole_file(path) as file:
-            made.savefig(file, format="png", dpi=110, metadata={"Software": "antdsl"})
+        plot = Figure(figsize=(width, height), layout="constrained")
+        FigureCanvasAgg(plot)
+        yield plot
+        with atomic_file(path) as file:
+            plot.savefig(file, format="png", dpi=110, metadata={"Software": "antdsl"})
 
 
 @cache
@@ -73,12 +73,12 @@ def _matplotlib() -> Any:
 @contextmanager
 def _environment(values: Mapping[str, str]) -> Iterator[None]:
     """Set environment variables of this process within the context."""
-    before = {name: os.environ.get(name) for name in values}
+    previous_values = {name: os.environ.get(name) for name in values}
     os.environ.update(values)
     try:
         yield
     finally:
-        for name, value in before.items():
+        for name, value in previous_values.items():
             if value is None:
                 del os.environ[name]
             else:

@@ -11,7 +11,7 @@ from typing import Any
 from antdsl import __version__, limits
 from antdsl.bounded import read_bounded
 from antdsl.sweep.jobs import Job
-from antdsl.whole import is_link, make_folder, write_whole
+from antdsl.whole import is_link, make_folder, write_atomically
 
 _BYTES = limits.ANSWER_BYTES + 64 * limits.KIB  # of the stored data of one run
 
@@ -20,7 +20,7 @@ class OtherFiles(Exception):
     """The folder holds something else than a sweep."""
 
 
-class Keeper:
+class RunStore:
     """The folder of a sweep: `runs/` has a file for each finished run."""
 
     def __init__(self, folder: Path) -> None:
@@ -35,7 +35,7 @@ class Keeper:
     def path(self, job: Job) -> Path:
         return self.runs / f"{job.key}.json"
 
-    def kept(self, job: Job) -> dict[str, Any] | None:
+    def read_measures(self, job: Job) -> dict[str, Any] | None:
         """Return the measures of an earlier finished run, or None, also if its file is damaged. Files from before hashes were
         introduced are accepted."""
         try:
@@ -54,9 +54,9 @@ class Keeper:
 
     def keep(self, job: Job, measures: Mapping[str, Any]) -> None:
         """Write a run's measures atomically."""
-        document = about(job) | {"key": job.key, "antdsl": __version__, "measures": measures}
+        document = describe_job(job) | {"key": job.key, "antdsl": __version__, "measures": measures}
         document["hash"] = _hash(document)
-        write_whole(self.path(job), (json.dumps(document, indent=1) + "\n").encode(), sync=False)
+        write_atomically(self.path(job), (json.dumps(document, indent=1) + "\n").encode(), sync=False)
 
 
 def _hash(document: Mapping[str, Any]) -> str:
@@ -64,6 +64,6 @@ def _hash(document: Mapping[str, Any]) -> str:
     return sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:32]
 
 
-def about(job: Job) -> dict[str, Any]:
+def describe_job(job: Job) -> dict[str, Any]:
     """What a run was, in plain words."""
     return {"label": job.label, "scene": Path(job.scene).name, "set": dict(job.params), "seed": job.seed}

@@ -69,14 +69,14 @@ def variations(scenes: Iterable[Path], points: Iterable[Mapping[str, str]]) -> l
     """Every scene with the values of every point."""
     scenes, points = list(scenes), list(points)
     stems = [scene.stem for scene in scenes]
-    found = []
+    combinations = []
     for scene in scenes:
         several = len(scenes) > 1 or not any(points)
         head = [scene.stem if stems.count(scene.stem) == 1 else str(scene.with_suffix(""))] if several else []
         for params in points:
             words = [f"{name.rpartition('.')[2]} {value}" for name, value in params.items()]
-            found.append(Variation(scene, params, ", ".join(head + words)))
-    return found
+            combinations.append(Variation(scene, params, ", ".join(head + words)))
+    return combinations
 
 
 def jobs(
@@ -103,14 +103,14 @@ def jobs(
             except StartError as why:
                 report.extend(why.report)
     granted = tuple((name, str(folder)) for name, folder in grants.items())
-    made = []
+    job_list = []
     for seed in seeds:
         for variation, between, scene, inputs in shots:
             params = tuple(variation.params.items())
             key = _key(scene, inputs, between, seed, until)
             frame_range = (between.first, between.last)
-            made.append(Job(str(real_path(variation.scene)), variation.label, params, seed, frame_range, until, granted, key))
-    return made, report
+            job_list.append(Job(str(real_path(variation.scene)), variation.label, params, seed, frame_range, until, granted, key))
+    return job_list, report
 
 
 def beginning(shot: Shot) -> Mapping[str, str]:
@@ -129,17 +129,22 @@ def key_of(shot: Shot, seed: int, until: tuple[str, ...], start: Mapping[str, st
 
 def _key(scene: Scene, inputs: Mapping[str, str], frames: FrameRange, seed: int, until: tuple[str, ...]) -> str:
     hashes = {**inputs, "scene": scene.changed(seed=seed).digest()}
-    about = {"sources": sources(), "inputs": hashes, "seed": seed, "frames": list(frames), "until": list(until)}
-    return hashlib.blake2b(json.dumps(about, sort_keys=True).encode(), digest_size=12).hexdigest()
+    key_fields = {"sources": sources(), "inputs": hashes, "seed": seed, "frames": list(frames), "until": list(until)}
+    return hashlib.blake2b(json.dumps(key_fields, sort_keys=True).encode(), digest_size=12).hexdigest()
 
 
 def _known(shot: Shot, until: tuple[str, ...], report: Report) -> None:
     """Report amounts that the scene does not have."""
     known = list(amounts(shot))
-    for wanted in until:
-        if not any(matches(wanted, name) for name in known):
-            shown = ", ".join(f"`{name}`" for name in known[:6]) or "none: it has no items"
-            report.error("unknown-thing", f"`{shot.scene.source.path}` has no amount `{wanted}`", None, f"amounts are {shown}")
+    for requested_name in until:
+        if not any(matches(requested_name, name) for name in known):
+            display_names = ", ".join(f"`{name}`" for name in known[:6]) or "none: it has no items"
+            report.error(
+                "unknown-thing",
+                f"`{shot.scene.source.path}` has no amount `{requested_name}`",
+                None,
+                f"amounts are {display_names}",
+            )
 
 
 def amounts(shot: Shot) -> Iterator[str]:
@@ -150,7 +155,7 @@ def amounts(shot: Shot) -> Iterator[str]:
                 yield f"{name}.{item.name}.{attribute}"
 
 
-def matches(wanted: str, name: str) -> bool:
+def matches(requested_name: str, name: str) -> bool:
     """Whether `food.load` or `food.apple.load` means the amount `food.apple.load`."""
     items, _, rest = name.partition(".")
-    return wanted in (name, f"{items}.{rest.partition('.')[2]}")
+    return requested_name in (name, f"{items}.{rest.partition('.')[2]}")

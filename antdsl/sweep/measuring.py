@@ -25,10 +25,14 @@ class Unfit(Exception):
 
 
 def measure(
-    job: Job, threads: int, built: Built, told: Callable[[int], None], noted: Callable[[str], None] = lambda sentence: None
+    job: Job,
+    threads: int,
+    built: Built,
+    report_frame: Callable[[int], None],
+    noted: Callable[[str], None] = lambda sentence: None,
 ) -> dict[str, Any]:
-    """Simulate a run and return its measures by name: numbers, or None for what did not happen. `told` is called for each frame,
-    `noted` at the end with what differed from the request. `built` stores data that earlier runs made from meshes.
+    """Simulate a run and return its measures by name: numbers, or None for what did not happen. `report_frame` is called for each
+    frame, `noted` at the end with what differed from the request. `built` stores data that earlier runs made from meshes.
 
     Everything but `seconds`, `fps` and `processor` is equal for the same job and antdsl."""
     shot, report = open_scene(Path(job.scene), job.choices())
@@ -53,17 +57,17 @@ def measure(
         _look(world, empty)
         worst = max(worst, surface_error(world))
         recording.steps += 1
-        told(world.frame)
-    for sentence in world.backend.told():
+        report_frame(world.frame)
+    for sentence in world.backend.messages():
         noted(sentence)
     recording.frame, recording.surface_error = world.frame, worst
     recording.hash = state_hash(world)
     recording.spend("step", began)
-    found = dict(_flat("", summary(recording)))
-    found |= {f"empty.{name}": frame for name, frame in empty.items()}
-    found |= {f"left.{name}": amount for name, amount in _amounts(world)}
-    found |= {"processor": processor(), "antdsl": f"{__version__} {sources()[:8]}"}
-    return found | {"seconds": round(time.perf_counter() - began, 3)}
+    measures = dict(_flat("", summary(recording)))
+    measures |= {f"empty.{name}": frame for name, frame in empty.items()}
+    measures |= {f"left.{name}": amount for name, amount in _amounts(world)}
+    measures |= {"processor": processor(), "antdsl": f"{__version__} {sources()[:8]}"}
+    return measures | {"seconds": round(time.perf_counter() - began, 3)}
 
 
 def _amounts(world: World) -> Iterator[tuple[str, float]]:
@@ -83,10 +87,12 @@ def _look(world: World, empty: dict[str, int | None]) -> None:
 
 
 def _over(world: World, until: tuple[str, ...]) -> bool:
-    return bool(until) and not any(amount > 0 for name, amount in _amounts(world) for wanted in until if matches(wanted, name))
+    return bool(until) and not any(
+        amount > 0 for name, amount in _amounts(world) for requested_name in until if matches(requested_name, name)
+    )
 
 
-_APART = frozenset(("seconds", "peak_memory"))  # of the process, and of many runs in a row
+_PROCESS_MEASURES = frozenset(("seconds", "peak_memory"))  # of the process, and of many runs in a row
 
 
 def _flat(head: str, value: Any) -> Iterator[tuple[str, Any]]:
@@ -94,5 +100,5 @@ def _flat(head: str, value: Any) -> Iterator[tuple[str, Any]]:
         yield head, value
         return
     for name, inner in value.items():
-        if head or name not in _APART:
+        if head or name not in _PROCESS_MEASURES:
             yield from _flat(f"{head}.{name}" if head else name, inner)

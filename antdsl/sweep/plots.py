@@ -32,19 +32,19 @@ def draw(results: Sequence[Result], measures: Sequence[str], path: Path) -> None
 
 
 def _panel(panel: Axes, results: Sequence[Result], labels: Sequence[str], measure: str) -> None:
-    known = [float(v) for _, found in results if (v := found.get(measure)) is not None]
+    known = [float(v) for _, measures in results if (v := measures.get(measure)) is not None]
     edge = max(known, default=1.0)
-    room = 0.08 * (edge - min(known, default=0.0)) or 1.0
-    never = edge + room
+    margin = 0.08 * (edge - min(known, default=0.0)) or 1.0
+    never = edge + margin
     for number, label in enumerate(labels):
-        values = [found.get(measure) for job, found in results if job.label == label]
+        values = [measures.get(measure) for job, measures in results if job.label == label]
         dots = sorted(never if v is None else float(v) for v in values)
         panel.plot(dots, [number] * len(dots), "o", color="#3b6ea5", alpha=0.55, markersize=5, markeredgewidth=0)
         lower, middle, upper = (quantile(dots, share) for share in (0.25, 0.5, 0.75))
         panel.plot([lower, upper], [number, number], "-", color="#222222", linewidth=2)
         panel.plot([middle], [number], "|", color="#222222", markersize=16, markeredgewidth=2)
-    if any(found.get(measure) is None for _, found in results):
-        panel.axvline(edge + room / 2, linestyle="--", color="#999999", linewidth=1)
+    if any(measures.get(measure) is None for _, measures in results):
+        panel.axvline(edge + margin / 2, linestyle="--", color="#999999", linewidth=1)
         panel.text(never, len(labels) - 0.4, "never", ha="center", va="top", fontsize=8, color="#666666")
     panel.set_yticks(range(len(labels)), labels)
     panel.set_ylim(len(labels) - 0.4, -0.6)
@@ -77,16 +77,16 @@ def draw_factors(study: Study, results: Sequence[Result], measures: Sequence[str
 def _over_range(
     panel: Any, factor: Factor, results: Sequence[Result], scenes: Sequence[str], of_labels: Mapping[str, str], measure: str
 ) -> None:
-    known = [float(v) for _, found in results if (v := found.get(measure)) is not None]
+    known = [float(v) for _, measures in results if (v := measures.get(measure)) is not None]
     edge, least = max(known, default=1.0), min(known, default=0.0)
-    room = 0.08 * (edge - least) or 1.0
+    margin = 0.08 * (edge - least) or 1.0
     for number, scene in enumerate(scenes):
         points: dict[str, tuple[float, list[float]]] = {}
-        for job, found in results:
-            if of_labels[job.label] == scene and measure in found:
+        for job, measures in results:
+            if of_labels[job.label] == scene and measure in measures:
                 value = factor.number(dict(job.params)[factor.name])
-                at = found[measure]
-                points.setdefault(job.label, (value, []))[1].append(edge + room if at is None else float(at))
+                at = measures[measure]
+                points.setdefault(job.label, (value, []))[1].append(edge + margin if at is None else float(at))
         medians = []
         for value, of in points.values():
             lower, middle, upper = (quantile(sorted(of), share) for share in (0.25, 0.5, 0.75))
@@ -94,9 +94,9 @@ def _over_range(
             panel.plot([value], [middle], "o", color=_colour(number), alpha=0.6, markersize=4, markeredgewidth=0)
             medians.append((value, middle))
         _trend(panel, factor, medians, _colour(number))
-    if any(found.get(measure, 0) is None for _, found in results):
-        panel.axhline(edge + room / 2, linestyle="--", color="#999999", linewidth=1)
-        panel.text(factor.low, edge + room, "never", ha="left", va="center", fontsize=8, color="#666666")
+    if any(measures.get(measure, 0) is None for _, measures in results):
+        panel.axhline(edge + margin / 2, linestyle="--", color="#999999", linewidth=1)
+        panel.text(factor.low, edge + margin, "never", ha="left", va="center", fontsize=8, color="#666666")
     panel.set_xlabel(f"{factor.name}{f' ({factor.unit})' if factor.unit else ''}", fontsize=9)
     panel.set_xlim(factor.low, factor.high)
     panel.grid(color="#e4e4e4")
@@ -109,9 +109,9 @@ def _trend(panel: Any, factor: Factor, medians: Sequence[tuple[float, float]], c
     for value, median in medians:
         share = (value - factor.low) / (factor.high - factor.low)
         parts.setdefault(min(int(share * _PARTS), _PARTS - 1), []).append(median)
-    places = sorted(parts)
-    middles = [factor.low + (part + 0.5) / _PARTS * (factor.high - factor.low) for part in places]
-    lower, middle, upper = ([quantile(sorted(parts[part]), share) for part in places] for share in (0.25, 0.5, 0.75))
+    part_numbers = sorted(parts)
+    middles = [factor.low + (part + 0.5) / _PARTS * (factor.high - factor.low) for part in part_numbers]
+    lower, middle, upper = ([quantile(sorted(parts[part]), share) for part in part_numbers] for share in (0.25, 0.5, 0.75))
     panel.fill_between(middles, lower, upper, color=colour, alpha=0.15, linewidth=0)
     panel.plot(middles, middle, "-", color=colour, linewidth=1.5)
 

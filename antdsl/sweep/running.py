@@ -23,15 +23,15 @@ class Outcome:
 def run_all(
     jobs: Iterable[Job],
     executors: Executors,
-    told: Callable[[Job, int], None] = lambda job, frame: None,
+    report_frame: Callable[[Job, int], None] = lambda job, frame: None,
     noted: Callable[[str], None] = lambda sentence: None,
 ) -> Iterator[Outcome]:
-    """Run jobs and yield each outcome when it arrives; `jobs` is read one at a time, when there is capacity for another. `told`
-    reports the progress of a run from time to time. `noted` reports what differed from the request, a sentence for each run and
-    cause."""
+    """Run jobs and yield each outcome when it arrives; `jobs` is read one at a time, when there is capacity for another.
+    `report_frame` reports the progress of a run from time to time. `noted` reports what differed from the request, a sentence for
+    each run and cause."""
 
     def heard(task: Task, frame: int) -> None:
-        told(Job.of(task.document), frame)
+        report_frame(Job.of(task.document), frame)
 
     tasks = (Task(job.key, measured, job.document()) for job in jobs)
     for answered in run_tasks(tasks, executors, heard, noted):
@@ -46,12 +46,12 @@ def measured(document: Mapping[str, Any], worker: Worker) -> dict[str, Any]:
     from antdsl.runtime import BindError, Built, FaultStop
     from antdsl.sweep.measuring import Unfit, measure
 
-    built: Built = worker.kept.setdefault("built", Built())
+    built: Built = worker.cached_values.setdefault("built", Built())
     job = Job.of(document)
-    grants = tuple((name, str(worker.here(folder))) for name, folder in job.grants)
-    job = replace(job, scene=str(worker.here(job.scene)), grants=grants)
+    grants = tuple((name, str(worker.local_path(folder))) for name, folder in job.grants)
+    job = replace(job, scene=str(worker.local_path(job.scene)), grants=grants)
     try:
-        return measure(job, worker.threads, built, worker.told, worker.notes.append)
+        return measure(job, worker.threads, built, worker.report_frame, worker.notes.append)
     except (BindError, StartError) as why:
         raise Refused("; ".join(problem.message for problem in why.report.errors)) from None
     except (Unfit, FaultStop) as why:

@@ -21,7 +21,7 @@ _RESAMPLES = 1000  # of the bootstrap behind the intervals
 _SEED = 1  # of the bootstrap
 
 Numbers = NDArray[np.float64]
-Found = Mapping[str, Numbers]
+EffectColumns = Mapping[str, Numbers]
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,7 +32,7 @@ class Analysis:
     title: str
     first: str
     half: str
-    work: Callable[[Numbers, Numbers], Found]
+    work: Callable[[Numbers, Numbers], EffectColumns]
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,22 +66,27 @@ def morris_sample(factors: int, count: int, seed: int) -> Numbers:
     return np.asarray(morris.sample(_problem(factors), count, num_levels=_LEVELS, seed=seed))
 
 
-def _sobol_indices(shares: Numbers, values: Numbers) -> Found:
+def _sobol_indices(shares: Numbers, values: Numbers) -> EffectColumns:
     from SALib.analyze import sobol
 
-    found = sobol.analyze(_problem(shares.shape[1]), values, calc_second_order=False, num_resamples=_RESAMPLES, seed=_SEED)
-    return {"total": found["ST"], "total_95": found["ST_conf"], "first_order": found["S1"], "first_order_95": found["S1_conf"]}
+    indices = sobol.analyze(_problem(shares.shape[1]), values, calc_second_order=False, num_resamples=_RESAMPLES, seed=_SEED)
+    return {
+        "total": indices["ST"],
+        "total_95": indices["ST_conf"],
+        "first_order": indices["S1"],
+        "first_order_95": indices["S1_conf"],
+    }
 
 
-def _elementary_effects(shares: Numbers, values: Numbers) -> Found:
+def _elementary_effects(shares: Numbers, values: Numbers) -> EffectColumns:
     """F. Campolongo, J. Cariboni, A. Saltelli: An effective screening design for sensitivity analysis of large models,
     Environmental Modelling & Software 22 (2007)."""
     from SALib.analyze import morris
 
     problem = _problem(shares.shape[1])
-    found = morris.analyze(problem, shares, values, num_levels=_LEVELS, num_resamples=_RESAMPLES, seed=_SEED)
+    results = morris.analyze(problem, shares, values, num_levels=_LEVELS, num_resamples=_RESAMPLES, seed=_SEED)
     named = {"mu_star": "mu_star", "mu_star_95": "mu_star_conf", "mu": "mu", "sigma": "sigma"}
-    return {column: np.asarray(found[theirs], np.float64) for column, theirs in named.items()}
+    return {column: np.asarray(results[theirs], np.float64) for column, theirs in named.items()}
 
 
 SOBOL_INDICES = Analysis("Sobol indices: the share of the variance that a factor makes", "total", "total_95", _sobol_indices)
@@ -104,7 +109,7 @@ def effects(
 ) -> tuple[list[Effect], list[str]]:
     """Return the effect of each factor on each measure, and why some measures have none. `scenes`: by name, the label of each of
     the design's points; `medians`: by label and measure."""
-    found: list[Effect] = []
+    effect_list: list[Effect] = []
     notes: list[str] = []
     for scene, labels in scenes.items():
         where = f" of {scene}" if len(scenes) > 1 else ""
@@ -120,20 +125,22 @@ def effects(
                 notes.append(f"{measure}{where} is {values[0]:g} at all points")
             else:
                 columns = analysis.work(shares, values)
-                found += [
+                effect_list += [
                     Effect(scene, measure, name, {column: float(numbers[k]) for column, numbers in columns.items()})
                     for k, name in enumerate(names)
                 ]
-    return found, notes
+    return effect_list, notes
 
 
-def text(analysis: Analysis, found: Sequence[Effect]) -> str:
+def text(analysis: Analysis, effect_list: Sequence[Effect]) -> str:
     """Format a block of lines per scene and measure, the most important factor first."""
     lines: list[str] = [analysis.title]
-    width = max(len(effect.factor) for effect in found)
-    several = len({effect.scene for effect in found}) > 1
-    for scene, measure in dict.fromkeys((effect.scene, effect.measure) for effect in found):
-        of = sorted((e for e in found if (e.scene, e.measure) == (scene, measure)), key=lambda e: -e.columns[analysis.first])
+    width = max(len(effect.factor) for effect in effect_list)
+    several = len({effect.scene for effect in effect_list}) > 1
+    for scene, measure in dict.fromkeys((effect.scene, effect.measure) for effect in effect_list):
+        of = sorted(
+            (e for e in effect_list if (e.scene, e.measure) == (scene, measure)), key=lambda e: -e.columns[analysis.first]
+        )
         names = list(of[0].columns)
         lines += ["", f"{measure}{f' of {scene}' if several else ''}"]
         lines.append(f"  {'':<{width}}  " + "  ".join(f"{name.replace('_95', ' ±'):>14}" for name in names))
@@ -141,8 +148,10 @@ def text(analysis: Analysis, found: Sequence[Effect]) -> str:
     return "\n".join(line.rstrip() for line in lines) + "\n"
 
 
-def as_csv(found: Sequence[Effect]) -> str:
+def as_csv(effect_list: Sequence[Effect]) -> str:
     """One line an effect."""
-    head = ["scene", "measure", "factor", *found[0].columns]
-    lines = ([each.scene, each.measure, each.factor, *(f"{value:.9g}" for value in each.columns.values())] for each in found)
+    head = ["scene", "measure", "factor", *effect_list[0].columns]
+    lines = (
+        [each.scene, each.measure, each.factor, *(f"{value:.9g}" for value in each.columns.values())] for each in effect_list
+    )
     return csv_text([head, *lines])

@@ -39,8 +39,8 @@ def interval(values: Sequence[float], doubt: Fraction = 1 - LEVEL) -> tuple[floa
     place = rank(len(values), doubt)
     if not place:
         return None
-    there = sorted(values)
-    return there[place - 1], there[-place]
+    sorted_values = sorted(values)
+    return sorted_values[place - 1], sorted_values[-place]
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,7 +48,7 @@ class Looks:
     """The numbers of runs after which the interval is checked, and the error probability of each check. Checking repeatedly until
     it is narrow would miss the median more often than one check, so all checks share the error probability (Bonferroni)."""
 
-    after: tuple[int, ...]
+    run_counts: tuple[int, ...]
     doubt: Fraction
 
 
@@ -59,11 +59,11 @@ def looks(most: int) -> Looks | None:
         least = next((n for n in range(1, most + 1) if rank(n, doubt)), None)
         if least is None:
             return None
-        after = [least]
-        while after[-1] < most:
-            after.append(min(math.ceil(after[-1] * _GROWTH), most))
-        if len(after) <= count:
-            return Looks(tuple(after), (1 - LEVEL) / len(after))
+        run_counts = [least]
+        while run_counts[-1] < most:
+            run_counts.append(min(math.ceil(run_counts[-1] * _GROWTH), most))
+        if len(run_counts) <= count:
+            return Looks(tuple(run_counts), (1 - LEVEL) / len(run_counts))
     return None
 
 
@@ -81,7 +81,7 @@ class Width:
     most: float
     share: bool = False
 
-    def met(self, between: tuple[float, float], median: float) -> bool:
+    def is_reached(self, between: tuple[float, float], median: float) -> bool:
         low, high = between
         if low == high:
             return True  # all the same, or never
@@ -110,7 +110,7 @@ class Chooser:
     _looks: Looks | None = field(init=False, default=None)
     _by_label: dict[str, list[Job]] = field(init=False, default_factory=dict)
     _measures: dict[str, Mapping[str, Any] | None] = field(init=False, default_factory=dict)
-    _done: dict[str, int] = field(init=False, default_factory=dict)  # by label, after how many runs
+    _final_counts: dict[str, int] = field(init=False, default_factory=dict)  # by label, after how many runs
 
     def __post_init__(self) -> None:
         for job in self.jobs:
@@ -118,36 +118,38 @@ class Chooser:
         if self.widths and self._by_label:
             self._looks = looks(max(map(len, self._by_label.values())))
 
-    def wanted(self) -> Iterator[Job]:
+    def needed_jobs(self) -> Iterator[Job]:
         """Yield the next needed job, as long as there is one; to be called when a process is free."""
         for job in self.jobs:
-            if job.key not in self._measures and job.label not in self._done:
+            if job.key not in self._measures and job.label not in self._final_counts:
                 yield job
 
     def heard(self, job: Job, measures: Mapping[str, Any] | None) -> None:
         """Record that a run has ended, with or without measures."""
         self._measures[job.key] = measures
-        if self._looks is None or job.label in self._done:
+        if self._looks is None or job.label in self._final_counts:
             return
         of = self._by_label[job.label]
-        for count in self._looks.after:
+        for count in self._looks.run_counts:
             if any(each.key not in self._measures for each in of[:count]):
                 return
             if all(known.met for known in self._known(job.label, count)):
-                self._done[job.label] = count
+                self._final_counts[job.label] = count
                 return
 
     @property
     def counted(self) -> list[Job]:
         """Return the jobs of the table: all that have ended; of a complete variation, those that completed it."""
-        within = {job.key for label, of in self._by_label.items() for job in of[: self._done.get(label, len(of))]}
+        within = {job.key for label, of in self._by_label.items() for job in of[: self._final_counts.get(label, len(of))]}
         return [job for job in self.jobs if job.key in within and self._measures.get(job.key) is not None]
 
     def known(self) -> list[Known]:
         """Return what is known at the end about measures with a requested width."""
         if self._looks is None:
             return []
-        return [known for label, of in self._by_label.items() for known in self._known(label, self._done.get(label, len(of)))]
+        return [
+            known for label, of in self._by_label.items() for known in self._known(label, self._final_counts.get(label, len(of)))
+        ]
 
     def unheard(self) -> list[str]:
         """Return the widths' measures that no run has reported, once one has ended."""
@@ -164,11 +166,11 @@ class Chooser:
     def _known(self, label: str, count: int) -> list[Known]:
         assert self._looks is not None
         ended = [each for job in self._by_label[label][:count] if (each := self._measures.get(job.key)) is not None]
-        found: list[Known] = []
+        entries: list[Known] = []
         for width in self.widths:
             names = dict.fromkeys(name for measures in ended for name in measures if name.startswith(width.measure))
             if not names:
-                found.append(Known(label, width.measure, len(ended), math.nan, math.nan, math.nan, False))
+                entries.append(Known(label, width.measure, len(ended), math.nan, math.nan, math.nan, False))
             for name in names:
                 numbers = [measures.get(name, 0.0) for measures in ended]
                 if not all(value is None or isinstance(value, int | float) for value in numbers):
@@ -176,6 +178,6 @@ class Chooser:
                 values = sorted(math.inf if value is None else float(value) for value in numbers)
                 median, between = quantile(values, 0.5), interval(values, self._looks.doubt)
                 low, high = between or (-math.inf, math.inf)
-                met = between is not None and width.met(between, median)
-                found.append(Known(label, name, len(values), median, low, high, met))
-        return found
+                is_reached = between is not None and width.is_reached(between, median)
+                entries.append(Known(label, name, len(values), median, low, high, is_reached))
+        return entries

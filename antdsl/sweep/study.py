@@ -18,7 +18,7 @@ from antdsl.sweep.factors import Factor
 from antdsl.sweep.jobs import Variation
 from antdsl.sweep.sensitivity import Effect, effects
 from antdsl.sweep.table import Row
-from antdsl.whole import write_whole
+from antdsl.whole import write_atomically
 
 NAME = "asked.json"
 
@@ -53,11 +53,11 @@ class Study:
         return effects(design.analysis, [f.name for f in self.chosen.factors], shares, scenes, medians, measures)
 
 
-class NotAsked(Exception):
+class NoSweep(Exception):
     """A folder has no sweep to continue; the message says why."""
 
 
-class Asked(BaseModel):
+class SweepRequest(BaseModel):
     """The command line arguments that decide which runs there are, and which the table counts."""
 
     model_config = ConfigDict(strict=True, extra="forbid", frozen=True)
@@ -75,7 +75,7 @@ class Asked(BaseModel):
 
     @field_validator("design")
     @classmethod
-    def _there(cls, word: str) -> str:
+    def _check_design(cls, word: str) -> str:
         if all(word != design.word for design in DESIGNS):
             raise ValueError(f"there is no design `{word}`")
         return word
@@ -89,27 +89,29 @@ class Asked(BaseModel):
 
     def keep(self, folder: Path) -> None:
         """Write it with paths relative to the folder, so that everything may be moved together."""
-        there = self.model_copy(update={"scenes": [_seen(path, folder) for path in self.scenes], "root": self._roots(folder)})
-        write_whole(folder / NAME, (there.model_dump_json(indent=1) + "\n").encode())
+        portable_request = self.model_copy(
+            update={"scenes": [_relative_path(path, folder) for path in self.scenes], "root": self._roots(folder)}
+        )
+        write_atomically(folder / NAME, (portable_request.model_dump_json(indent=1) + "\n").encode())
 
     def _roots(self, folder: Path) -> list[str]:
-        return [f"{name}={_seen(path.strip(), folder)}" for name, _, path in (word.partition("=") for word in self.root)]
+        return [f"{name}={_relative_path(path.strip(), folder)}" for name, _, path in (word.partition("=") for word in self.root)]
 
 
-def kept(folder: Path) -> Asked:
+def read_request(folder: Path) -> SweepRequest:
     """Return the request stored in a folder, with paths as seen from here. Raises NotAsked if there is none."""
     try:
-        asked = Asked.model_validate_json(read_bounded(folder / NAME, limits.MIB))
+        request = SweepRequest.model_validate_json(read_bounded(folder / NAME, limits.MIB))
     except OSError:
-        raise NotAsked(f"`{folder}` has no sweep to go on with") from None
+        raise NoSweep(f"`{folder}` has no sweep to go on with") from None
     except ValidationError:
-        raise NotAsked(f"`{folder / NAME}` is damaged") from None
-    roots = [f"{name}={_from(path, folder)}" for name, _, path in (word.partition("=") for word in asked.root)]
-    changed: dict[str, Any] = {"scenes": [_from(path, folder) for path in asked.scenes], "root": roots}
-    return asked.model_copy(update=changed)
+        raise NoSweep(f"`{folder / NAME}` is damaged") from None
+    roots = [f"{name}={_from(path, folder)}" for name, _, path in (word.partition("=") for word in request.root)]
+    changed: dict[str, Any] = {"scenes": [_from(path, folder) for path in request.scenes], "root": roots}
+    return request.model_copy(update=changed)
 
 
-def _seen(path: str, folder: Path) -> str:
+def _relative_path(path: str, folder: Path) -> str:
     try:
         return Path(os.path.relpath(path, folder)).as_posix()
     except ValueError:  # on another drive

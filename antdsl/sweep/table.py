@@ -10,7 +10,7 @@ from importlib.util import find_spec
 from typing import TYPE_CHECKING, Any
 
 from antdsl.outputs.csv_text import csv_text
-from antdsl.sweep.finished_runs import about
+from antdsl.sweep.finished_runs import describe_job
 from antdsl.sweep.jobs import Job
 
 if TYPE_CHECKING:
@@ -48,14 +48,14 @@ def quantile(values: Sequence[float], share: float) -> float:
 
 def rows(results: Iterable[Result]) -> list[Row]:
     """Return all measures that are numbers, in the order in which the runs report them."""
-    found: dict[tuple[str, str], list[float]] = {}
+    values_by_key: dict[tuple[str, str], list[float]] = {}
     counts: dict[str, int] = {}
     for job, measures in results:
         counts[job.label] = counts.get(job.label, 0) + 1
         for name, value in measures.items():
             if name not in NOT_COMPARED and (value is None or isinstance(value, int | float)):
-                found.setdefault((job.label, name), []).append(math.inf if value is None else float(value))
-    return [_row(label, name, values, counts[label]) for (label, name), values in found.items()]
+                values_by_key.setdefault((job.label, name), []).append(math.inf if value is None else float(value))
+    return [_row(label, name, values, counts[label]) for (label, name), values in values_by_key.items()]
 
 
 def _row(label: str, name: str, values: list[float], runs: int) -> Row:
@@ -65,24 +65,24 @@ def _row(label: str, name: str, values: list[float], runs: int) -> Row:
     return Row(label, name, runs, sum(map(math.isfinite, values)), median, lower, upper, values[0], values[-1])
 
 
-def shown(table: Sequence[Row], wanted: Sequence[str]) -> list[str]:
-    """Return the measures to show: those with names that begin with a word in `wanted`. By default, show when things ran out, or
-    else the motion measures."""
+def choose_measures(table: Sequence[Row], prefixes: Sequence[str]) -> list[str]:
+    """Return the measures to show: those with names that begin with a word in `prefixes`. By default, show when things ran out,
+    or else the motion measures."""
     names = list(dict.fromkeys(row.measure for row in table))
-    if not wanted:
+    if not prefixes:
         empty = [row.measure for row in table if row.measure.startswith("empty.") and row.happened]
-        wanted = tuple(dict.fromkeys(empty)) or ("motion.",)
-    return [name for name in names if any(name.startswith(start) for start in wanted)]
+        prefixes = tuple(dict.fromkeys(empty)) or ("motion.",)
+    return [name for name in names if any(name.startswith(start) for start in prefixes)]
 
 
 def text(table: Sequence[Row], measures: Sequence[str]) -> str:
     """Format variations as lines and measures as columns: median (lower quartile – upper quartile)."""
-    found = {(row.label, row.measure): row for row in table}
+    rows_by_key = {(row.label, row.measure): row for row in table}
     labels = list(dict.fromkeys(row.label for row in table))
     lines = [["", "runs", *(name.removeprefix("empty.") + (" 0 at" if name.startswith("empty.") else "") for name in measures)]]
     for label in labels:
         runs = next(row.runs for row in table if row.label == label)
-        lines.append([label, str(runs), *(_cell(found.get((label, name))) for name in measures)])
+        lines.append([label, str(runs), *(_cell(rows_by_key.get((label, name))) for name in measures)])
     widths = [max(len(line[column]) for line in lines) for column in range(len(lines[0]))]
     return (
         "\n".join("  ".join(f"{cell:<{width}}" for cell, width in zip(line, widths, strict=True)).rstrip() for line in lines)
@@ -123,14 +123,14 @@ def runs_parquet(results: Sequence[Result], units: Mapping[str, str] | None = No
 
     names = dict.fromkeys(name for _, measures in results for name in measures if name not in NOT_COMPARED)
     columns: dict[str, list[Any]] = {"label": [job.label for job, _ in results], "seed": [job.seed for job, _ in results]}
-    for name, head in _heads(results, units or {}).items():
-        texts = [_given(job, units or {}).get(name) for job, _ in results]
+    for name, head in _name_columns(results, units or {}).items():
+        texts = [_format_params(job, units or {}).get(name) for job, _ in results]
         columns[head] = [None if text is None else float(text) for text in texts] if name in (units or {}) else texts
     for name in names:
         values = [measures.get(name) for _, measures in results]
         numbers = all(v is None or isinstance(v, int | float) for v in values)
-        whole = all(v is None or isinstance(v, int) for v in values)
-        columns[name] = values if whole else [None if v is None else float(v) if numbers else str(v) for v in values]
+        is_integer = all(v is None or isinstance(v, int) for v in values)
+        columns[name] = values if is_integer else [None if v is None else float(v) if numbers else str(v) for v in values]
     sink = pyarrow.BufferOutputStream()
     pyarrow.parquet.write_table(pyarrow.table(columns), sink)
     return bytes(sink.getvalue().to_pybytes())
@@ -139,22 +139,22 @@ def runs_parquet(results: Sequence[Result], units: Mapping[str, str] | None = No
 def runs_csv(results: Sequence[Result], units: Mapping[str, str] | None = None) -> str:
     """Return one line per run, with its values and all its measures. `units`: for names with values reported as plain numbers."""
     names = list(dict.fromkeys(name for _, measures in results for name in measures if name not in NOT_COMPARED))
-    heads = _heads(results, units or {})
-    lines: list[list[object]] = [["label", "seed", *heads.values(), *names]]
+    headings = _name_columns(results, units or {})
+    lines: list[list[object]] = [["label", "seed", *headings.values(), *names]]
     for job, measures in results:
-        given = _given(job, units or {})
-        values = [given.get(name, "") for name in heads]
+        param_texts = _format_params(job, units or {})
+        values = [param_texts.get(name, "") for name in headings]
         lines.append([job.label, job.seed, *values, *("" if (v := measures.get(name)) is None else v for name in names)])
     return csv_text(lines)
 
 
-def _heads(results: Sequence[Result], units: Mapping[str, str]) -> dict[str, str]:
+def _name_columns(results: Sequence[Result], units: Mapping[str, str]) -> dict[str, str]:
     """Return the column names of the values, by name."""
     params = dict.fromkeys(name for job, _ in results for name, _ in job.params)
     return {name: f"{name} ({units[name]})" if units.get(name) else name for name in params}
 
 
-def _given(job: Job, units: Mapping[str, str]) -> dict[str, str]:
+def _format_params(job: Job, units: Mapping[str, str]) -> dict[str, str]:
     """Return the values of a run; those with units that are reported as numbers have none."""
     return {name: value.removesuffix(units.get(name, "")) for name, value in job.params}
 
@@ -173,7 +173,7 @@ def known_text(known: Sequence[Known]) -> str:
 def as_json(results: Sequence[Result], table: Sequence[Row], known: Sequence[Known] = (), effects: Sequence[Effect] = ()) -> str:
     """Everything, one document."""
     document: dict[str, Any] = {
-        "runs": [about(job) | {"measures": dict(measures)} for job, measures in results],
+        "runs": [describe_job(job) | {"measures": dict(measures)} for job, measures in results],
         "table": [_entry(row) for row in table],
     }
     if known:

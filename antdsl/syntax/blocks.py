@@ -85,8 +85,8 @@ class Lookup:
     def splice(self, start: int, end: int, text: str) -> Lookup:
         """Return a copy with `text` in place of the positions from `start` to `end`."""
         span = self.span(start, end)
-        before, after = self._cut(0, start), self._cut(end, len(self.text))
-        return Lookup(self.source, [*before, (text, span.start, span.end - span.start), *after])
+        previous_parts, next_parts = self._cut(0, start), self._cut(end, len(self.text))
+        return Lookup(self.source, [*previous_parts, (text, span.start, span.end - span.start), *next_parts])
 
     def _cut(self, start: int, end: int) -> list[tuple[str, int, int]]:
         cut = []

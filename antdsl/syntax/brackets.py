@@ -109,26 +109,28 @@ class _Parentheses:
         word = text_of(self.scan, first)
         if word not in BLOCK_WORDS or below.indent <= first.indent:
             return False
-        after = next((token for token in tokens[index + 3 :] if token.kind != "end"), None)
-        if word == "behaviour" and after is not None and text_of(self.scan, after) == ":":
+        next_token = next((token for token in tokens[index + 3 :] if token.kind != "end"), None)
+        if word == "behaviour" and next_token is not None and text_of(self.scan, next_token) == ":":
             return False  # the name of an argument, whatever word it is
         return text_of(self.scan, below) in _LINE_WORDS
 
     def matches(self, index: int, token: Token, text: str) -> bool:
         """Pair a closing bracket with an open one of its kind. Brackets opened after that one are never closed."""
-        wanted = [_CLOSING[text_of(self.scan, self.out[place])] for place in self.open]
-        if text not in wanted:
-            if self.closed_later(index, wanted[-1]):
+        expected_signs = [_CLOSING[text_of(self.scan, self.out[place])] for place in self.open]
+        if text not in expected_signs:
+            if self.closed_later(index, expected_signs[-1]):
                 self.scan.error(
                     "unopened-bracket", f"`{text}` is never opened", token.start, token.end, "delete it, or open it", ""
                 )
                 self.scan.blank(token.start, token.end)
                 return False
-            message = f"`{text}` where `{wanted[-1]}` was expected"
-            self.scan.error("unopened-bracket", message, token.start, token.end, f"write `{wanted[-1]}`", wanted[-1])
-            self.scan.replace(token.start, wanted[-1])
+            message = f"`{text}` where `{expected_signs[-1]}` was expected"
+            self.scan.error(
+                "unopened-bracket", message, token.start, token.end, f"write `{expected_signs[-1]}`", expected_signs[-1]
+            )
+            self.scan.replace(token.start, expected_signs[-1])
         else:
-            while wanted.pop() != text:
+            while expected_signs.pop() != text:
                 inner = self.out[self.open.pop()]
                 sign = text_of(self.scan, inner)
                 at = self.out[-1].end
@@ -138,16 +140,16 @@ class _Parentheses:
         self.open.pop()
         return True
 
-    def closed_later(self, index: int, wanted: str) -> bool:
+    def closed_later(self, index: int, expected_sign: str) -> bool:
         """Return whether the open bracket has its closing one further on in the line."""
         depth = 0
         for token in self.scan.tokens[index + 1 : index + 1 + _LOOKED_AHEAD]:
             text = text_of(self.scan, token) if token.kind in ("open", "close") else ""
             if token.kind == "end" or text in ("{", "}"):
                 return False
-            if depth == 0 and text == wanted:
+            if depth == 0 and text == expected_sign:
                 return True
-            depth += (_CLOSING.get(text) == wanted) - (text == wanted)
+            depth += (_CLOSING.get(text) == expected_sign) - (text == expected_sign)
         return False
 
     def forgotten(self, index: int) -> int:
@@ -309,8 +311,8 @@ def _unclosed(scan: Scan, token: Token, sign: str, at: int) -> None:
 
 def _line_indents(tokens: list[Token]) -> list[int]:
     """For each token how far its line is set in."""
-    found, indent = [], 0
+    indents, indent = [], 0
     for token in tokens:
         indent = token.indent if token.indent >= 0 else indent
-        found.append(indent)
-    return found
+        indents.append(indent)
+    return indents

@@ -70,13 +70,13 @@ class Builder:
 
     def at(self, part: Any) -> Span:
         """Return the span of a token, or of a node that is already built."""
-        found: Span = self.place.span(part.start_pos, part.end_pos) if hasattr(part, "start_pos") else part.span
-        return found
+        span: Span = self.place.span(part.start_pos, part.end_pos) if hasattr(part, "start_pos") else part.span
+        return span
 
     def over(self, parts: Sequence[Any]) -> Span:
         """Return the span from the first to the last part that exists."""
-        there = [part for part in parts if part is not None]
-        return self.at(there[0]).to(self.at(there[-1]))
+        present_parts = [part for part in parts if part is not None]
+        return self.at(present_parts[0]).to(self.at(present_parts[-1]))
 
     @overload
     def word(self, token: None) -> None: ...
@@ -171,8 +171,8 @@ class Builder:
     def param(self, parts: list[Any]) -> n.ParamDecl:
         return n.ParamDecl(parts[1], self.over(parts))
 
-    def given(self, parts: list[Any]) -> n.Given:
-        return n.Given(self.word(parts[0]), parts[1], self.text(parts[2]), self.over(parts))
+    def given(self, parts: list[Any]) -> n.AnimalProperty:
+        return n.AnimalProperty(self.word(parts[0]), parts[1], self.text(parts[2]), self.over(parts))
 
     def let(self, parts: list[Any]) -> n.Let:
         return n.Let(self.word(parts[1]), parts[3], self.text(parts[4]), self.over(parts))
@@ -236,9 +236,9 @@ class Builder:
     exit = enter
 
     def change(self, parts: list[Any]) -> n.Change:
-        interrupt, _, (condition, after, held), take, _, target, over, body = parts
+        interrupt, _, (condition, delay, held), take, _, target, over, body = parts
         actions, span = body.lines if body else (), self.over(parts)
-        return n.Change(interrupt is not None, condition, after, held, take, target, over, actions, None, span)
+        return n.Change(interrupt is not None, condition, delay, held, take, target, over, actions, None, span)
 
     def condition(self, parts: list[Any]) -> tuple[n.Expr | None, n.Expr | None, n.Expr | None]:
         return parts[0], None, parts[1]
@@ -268,10 +268,10 @@ class Builder:
 
     def ask(self, parts: list[Any]) -> n.Ask:
         name = self.word(parts[1]) if len(parts) > 1 else None
-        return n.Ask(str(parts[0].value), name, None, _given(parts[3:-1]), None, self.over(parts))
+        return n.Ask(str(parts[0].value), name, None, _drop_absent(parts[3:-1]), None, self.over(parts))
 
     def ask_open(self, parts: list[Any]) -> n.Ask:
-        return n.Ask(str(parts[0].value), self.word(parts[1]), None, _given(parts[3:-2]), parts[-1], self.over(parts))
+        return n.Ask(str(parts[0].value), self.word(parts[1]), None, _drop_absent(parts[3:-2]), parts[-1], self.over(parts))
 
     def ask_amount(self, parts: list[Any]) -> n.Ask:
         return n.Ask(str(parts[0].value), self.word(parts[1]), parts[-1], (), None, self.over(parts))
@@ -322,8 +322,8 @@ class Builder:
         return self._expects(str(parts[2].value), parts[3] if len(parts) > 4 else None, parts[-1], parts, parts[1])
 
     def _expects(self, kind: str, time: Any, condition: Any, parts: list[Any], since: Any = None) -> n.SpecLine:
-        asked, _, held = condition or (None, None, None)
-        return n.SpecLine(kind, None, time, asked, (), self.over([*parts[:-1], asked, held]), held, since)
+        expectation, _, held = condition or (None, None, None)
+        return n.SpecLine(kind, None, time, expectation, (), self.over([*parts[:-1], expectation, held]), held, since)
 
     def spec_each(self, parts: list[Any]) -> n.SpecLine:
         return n.SpecLine("each", self.name([parts[1]]), None, None, parts[2].lines, self.over(parts))
@@ -372,7 +372,7 @@ class Builder:
         return replace(inner, span=self.over(parts))
 
     def call(self, parts: list[Any]) -> n.Call:
-        return n.Call(parts[0], _given(parts[2:-1]), self.over(parts))
+        return n.Call(parts[0], _drop_absent(parts[2:-1]), self.over(parts))
 
     def member_of(self, parts: list[Any]) -> n.Member:
         return n.Member(parts[0], self.word(parts[1]), self.over(parts))
@@ -393,6 +393,6 @@ class Builder:
         return n.Comprehension(self.word(parts[0]), parts[1], parts[2], self.over(parts))
 
 
-def _given(parts: Sequence[Any]) -> tuple[Any, ...]:
+def _drop_absent(parts: Sequence[Any]) -> tuple[Any, ...]:
     """Return the existing arguments: none for an empty pair of parentheses."""
     return tuple(part for part in parts if part is not None and not hasattr(part, "start_pos"))

@@ -39,11 +39,11 @@ def has_too_many(scanned: Scan, lines: list[Line]) -> bool:
     species = _species(scanned, lines)
     statements = [line.tokens[0] for line in _statements(lines)]
     counts = ((species, limits.SPECIES, "species"), (statements, limits.STATEMENTS, "statements"))
-    for found, most, what in (*counts, (scanned.tokens, limits.TOKENS, "words, numbers and signs")):
-        if len(found) > most:
-            words = f"{len(found):,} {what} in one file, at most {most:,} are allowed"
+    for entries, most, what in (*counts, (scanned.tokens, limits.TOKENS, "words, numbers and signs")):
+        if len(entries) > most:
+            words = f"{len(entries):,} {what} in one file, at most {most:,} are allowed"
             help = "move a part of them into another file, and write `use NAME`"
-            scanned.error("too-many", words, found[most].start, found[most].end, help)
+            scanned.error("too-many", words, entries[most].start, entries[most].end, help)
             return True
     return False
 

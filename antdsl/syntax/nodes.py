@@ -318,13 +318,13 @@ class Target:
 
 @node
 class Change:
-    """A transition. `after` holds for `when after 0.5 s`; `condition` is None then. `held` goes with a condition. `over` is the
+    """A transition. `delay` holds for `when after 0.5 s`; `condition` is None then. `held` goes with a condition. `over` is the
     time in which one clip gives way to the other. `any_except` is a tuple for `from any except a, b when …` and None for a
     transition inside a state."""
 
     interrupt: bool
     condition: Expr | None
-    after: Expr | None
+    delay: Expr | None
     held: Expr | None
     take: Take | None
     target: Target
@@ -392,7 +392,7 @@ class ParamDecl:
 
 
 @node
-class Given:
+class AnimalProperty:
     """`size 4 mm`: a given property of the animal, set without `=`."""
 
     name: Name
@@ -465,7 +465,7 @@ class Machine:
     help: Text | None = None
 
 
-SpeciesMember = ParamDecl | Declaration | Given | Let | Latch | Fuzzy | Start | On | Layers | Machine | State | Change
+SpeciesMember = ParamDecl | Declaration | AnimalProperty | Let | Latch | Fuzzy | Start | On | Layers | Machine | State | Change
 
 
 # --- the top of a file -----------------------------------------------------------------------------------------------
@@ -597,7 +597,7 @@ class File:
     broken: bool = field(default=False)
     parts: Mapping[Source, int] = field(default_factory=dict)
 
-    def whole(self, span: Span) -> Span:
+    def file_span(self, span: Span) -> Span:
         """Return the location in `source` of a location in one of `parts`, which are separate sources with known offsets."""
         base = self.parts.get(span.source)
         return span if base is None else Span(self.source, base + span.start, base + span.end)

@@ -274,7 +274,7 @@ class _Reading:
                 return []
         if isinstance(node, n.Behaviour):
             self.results(node, line)
-        if isinstance(node, n.Given) and node.name.text in BELONGS:  # `steer heading` reads like `size 4 mm`
+        if isinstance(node, n.AnimalProperty) and node.name.text in BELONGS:  # `steer heading` reads like `size 4 mm`
             self.report.add(misplaced(node.name.text, node.name.span))
             return []
         return [node]
@@ -301,31 +301,31 @@ class _Reading:
             position = token.start_pos
         offset = text.offset(position)
         # the parser may have taken `->` for a minus and stumbled over its second half
-        before = [each for each in line.tokens if ended or each.end <= offset]
-        after = line.tokens[len(before) :]
-        last, found = (before[-1] if before else None), (after[0] if after else None)
-        span = Span(self.source, found.start, found.end) if found else Span(self.source, line.end, line.end)
+        previous_tokens = [each for each in line.tokens if ended or each.end <= offset]
+        next_tokens = line.tokens[len(previous_tokens) :]
+        last, bad_token = (previous_tokens[-1] if previous_tokens else None), (next_tokens[0] if next_tokens else None)
+        span = Span(self.source, bad_token.start, bad_token.end) if bad_token else Span(self.source, line.end, line.end)
         first = line.tokens[0]
         interactive = getattr(error, "interactive_parser", None)
-        wanted = interactive.accepts() if interactive is not None and not at_error_limit else ()
+        expected_terminals = interactive.accepts() if interactive is not None and not at_error_limit else ()
         return UnexpectedToken(
             rule,
             text_of(self.scan, first),
             text_of(self.scan, last) if last else "",
             last.kind if last else "",
-            text_of(self.scan, found) if found else "",
-            found.kind if found else "",
+            text_of(self.scan, bad_token) if bad_token else "",
+            bad_token.kind if bad_token else "",
             span,
             Span(self.source, first.start, first.end),
-            frozenset(wanted),
-            text_of(self.scan, after[1]) if len(after) > 1 else "",
-            text_of(self.scan, before[-2]) if len(before) > 1 else "",
+            frozenset(expected_terminals),
+            text_of(self.scan, next_tokens[1]) if len(next_tokens) > 1 else "",
+            text_of(self.scan, previous_tokens[-2]) if len(previous_tokens) > 1 else "",
         )
 
     def recover(self, line: Line, text: Lookup, rule: str, unexpected: UnexpectedToken) -> list[Any]:
         """Return what can still be understood of a line with a reported error."""
         position = text.position(unexpected.span.start)
-        if unexpected.found and begins_line(unexpected):
+        if unexpected.token_text and begins_line(unexpected):
             halves = [text.splice(position, len(text.text), ""), text.splice(0, position, "")]
             return [node for half in halves for node in self.first_that_parses(iter([half]), rule)]
         return self.first_that_parses(self.candidates(line, text, rule, unexpected, position), rule)
@@ -344,13 +344,13 @@ class _Reading:
         better = better_first_word(unexpected)
         if better is not None:
             yield text.splice(0, len(unexpected.first), better)
-        if unexpected.found == "=" and "SAME" in unexpected.wanted:
+        if unexpected.token_text == "=" and "SAME" in unexpected.expected_terminals:
             yield text.splice(position, position + 1, ":")
             yield text.splice(position, position + 1, "==")
         if gives_with_two(unexpected):
             yield text.splice(position, position + 2, "=")
         if forgets_brackets(unexpected):
-            yield text.splice(position, position + len(unexpected.found), f"({unexpected.found})")
+            yield text.splice(position, position + len(unexpected.token_text), f"({unexpected.token_text})")
         lefts, rights, clause = self.slots(line, text, position)
         for left in lefts:
             for right in rights:
@@ -359,8 +359,8 @@ class _Reading:
         for right in rights:
             if "{" not in text.text[clause:right]:
                 yield text.splice(clause, right, " ")
-        if unexpected.found and unexpected.found not in "{}":
-            yield text.splice(position, position + len(unexpected.found), "")
+        if unexpected.token_text and unexpected.token_text not in "{}":
+            yield text.splice(position, position + len(unexpected.token_text), "")
         yield from self.bare(line, text, rule)
 
     def slots(self, line: Line, text: Lookup, position: int) -> tuple[list[int], list[int], int]:
@@ -375,12 +375,12 @@ class _Reading:
                 start = text.position(token.start)
                 marks.append((start, start + len(sign)))
             depth += sign in ("(", "[")
-        before = [mark for mark in marks if mark[1] <= position][-1:]
-        lefts = [end for _, end in before]
-        heads = [text.position(token.end) for token in line.tokens[:2] if token.end <= text.offset(position)]
+        previous_marks = [mark for mark in marks if mark[1] <= position][-1:]
+        lefts = [end for _, end in previous_marks]
+        word_ends = [text.position(token.end) for token in line.tokens[:2] if token.end <= text.offset(position)]
         rights = [start for start, _ in marks if start >= position][:1]
-        clause = before[0][0] if before else position
-        return [*lefts, *reversed(heads), 0], [*rights, len(text.text)], clause
+        clause = previous_marks[0][0] if previous_marks else position
+        return [*lefts, *reversed(word_ends), 0], [*rights, len(text.text)], clause
 
     def bare(self, line: Line, text: Lookup, rule: str) -> Iterator[Lookup]:
         """Yield a block with an unreadable first line, with only its word, its name and its braces."""

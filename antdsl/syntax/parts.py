@@ -24,7 +24,7 @@ _TOP = frozenset(LINE_WORDS["top"])
 _SPECIES = re.compile(r"species\b[^{}\n]*\{[ \t]*(?:#[^\n]*)?\n")
 _EDITION = re.compile(r"(?:[ \t]*(?:#[^\n]*)?\n)*[ \t]*ant\b")
 # Said once of a name, wherever it stands in a file: where two blocks say so, the whole text has to be read.
-_ONCE = frozenset(("bad-name", "look-alike", "odd-blank", "name-too-long", "line-too-long", "markdown-fence"))
+_SINGLE_CODES = frozenset(("bad-name", "look-alike", "odd-blank", "name-too-long", "line-too-long", "markdown-fence"))
 _MOST = 50  # complaints of parsing, after which less is said of further ones
 
 
@@ -43,10 +43,10 @@ def cuts(text: str) -> list[Cut] | None:
     tops, members = _bounds(text)
     if not tops or not _EDITION.match(text, 0, tops[0]):
         return None
-    found: list[Cut] = [Cut("begins", 0, tops[0])]
+    cut_list: list[Cut] = [Cut("begins", 0, tops[0])]
     for start, end in zip(tops, [*tops[1:], len(text)], strict=True):
-        found += _species(text, start, end, members) if text.startswith("species", start) else [Cut("top", start, end)]
-    return found
+        cut_list += _species(text, start, end, members) if text.startswith("species", start) else [Cut("top", start, end)]
+    return cut_list
 
 
 def _bounds(text: str) -> tuple[list[int] | None, dict[int, tuple[list[int], int]]]:
@@ -115,18 +115,18 @@ class Parts:
     def parse(self, source: Source) -> tuple[n.File, Report]:
         """As `syntax.parse`, with the same errors. The file's nodes have locations in its parts: `File.whole` converts them to
         `source`. Comments after the closing brace of a species are left out."""
-        found = cuts(source.text)
-        if found is None or len(found) < 3:
+        cut_list = cuts(source.text)
+        if cut_list is None or len(cut_list) < 3:
             return parse(source)
-        texts = [source.text[cut.start : cut.end] + ("}" if cut.rule == "species" else "") for cut in found]
-        before, after = self._same(found, texts)
-        last = len(found) - after
+        texts = [source.text[cut.start : cut.end] + ("}" if cut.rule == "species" else "") for cut in cut_list]
+        head_count, tail_count = self._same(cut_list, texts)
+        last = len(cut_list) - tail_count
         known: list[tuple[Cut, str, Part]] = []
         sizes = NOTHING
-        for number, (cut, text) in enumerate(zip(found, texts, strict=True)):
+        for number, (cut, text) in enumerate(zip(cut_list, texts, strict=True)):
             part = (
-                self._known[number][2] if number < before
-                else self._known[number - len(found)][2] if number >= last
+                self._known[number][2] if number < head_count
+                else self._known[number - len(cut_list)][2] if number >= last
                 else self._part(source, cut, text)
             )  # fmt: skip
             known.append((cut, text, part))
@@ -136,22 +136,24 @@ class Parts:
         self._known = known
         parts = [(cut, part) for cut, _, part in self._known]
         said = [d for _, part in parts for d in part.report.diagnostics]
-        heads = [part for cut, part in parts if cut.rule == "species"]
-        hard = any(part.report.diagnostics or not _is_species(part) for part in heads)
-        if hard or len(said) > _MOST or sum(d.code in _ONCE for d in said) > 1:
+        species_parts = [part for cut, part in parts if cut.rule == "species"]
+        hard = any(part.report.diagnostics or not _is_species(part) for part in species_parts)
+        if hard or len(said) > _MOST or sum(d.code in _SINGLE_CODES for d in said) > 1:
             return parse(source)
         return _file(source, parts)
 
-    def _same(self, found: list[Cut], texts: list[str]) -> tuple[int, int]:
+    def _same(self, cut_list: list[Cut], texts: list[str]) -> tuple[int, int]:
         """Return how many blocks at the beginning and at the end are unchanged. Blocks with equal text have different locations,
         so their order identifies them."""
-        known, most = self._known, min(len(self._known), len(found))
-        before = after = 0
-        while before < most and self._is_same(known[before], found[before], texts[before]):
-            before += 1
-        while after < most - before and self._is_same(known[-1 - after], found[-1 - after], texts[-1 - after]):
-            after += 1
-        return before, after
+        known, most = self._known, min(len(self._known), len(cut_list))
+        head_count = tail_count = 0
+        while head_count < most and self._is_same(known[head_count], cut_list[head_count], texts[head_count]):
+            head_count += 1
+        while tail_count < most - head_count and self._is_same(
+            known[-1 - tail_count], cut_list[-1 - tail_count], texts[-1 - tail_count]
+        ):
+            tail_count += 1
+        return head_count, tail_count
 
     @staticmethod
     def _is_same(known: tuple[Cut, str, Part], cut: Cut, text: str) -> bool:
@@ -183,11 +185,13 @@ def _file(source: Source, parts: list[tuple[Cut, Part]]) -> tuple[n.File, Report
         tuple(span for _, part in parts for span in part.recovered), any(not part.report.ok for _, part in parts),
         {part.source: cut.start for cut, part in parts},
     )  # fmt: skip
-    return file, Report([moved(each, file.whole) for _, part in parts for each in part.report.diagnostics])
+    return file, Report([moved(each, file.file_span) for _, part in parts for each in part.report.diagnostics])
 
 
-def moved(found: Diagnostic, whole: Callable[[Span], Span]) -> Diagnostic:
+def moved(diagnostic: Diagnostic, to_file_span: Callable[[Span], Span]) -> Diagnostic:
     """Return a diagnostic with its locations in complete files instead of in parts of them."""
-    labels = tuple(Label(whole(label.span), label.text) for label in found.labels)
-    fix = Fix(whole(found.fix.span), found.fix.text) if found.fix is not None else None
-    return replace(found, span=whole(found.span) if found.span is not None else None, labels=labels, fix=fix)
+    labels = tuple(Label(to_file_span(label.span), label.text) for label in diagnostic.labels)
+    fix = Fix(to_file_span(diagnostic.fix.span), diagnostic.fix.text) if diagnostic.fix is not None else None
+    return replace(
+        diagnostic, span=to_file_span(diagnostic.span) if diagnostic.span is not None else None, labels=labels, fix=fix
+    )

@@ -75,8 +75,8 @@ class Scan:
 
     def has_fault(self, start: int, end: int) -> bool:
         """Return whether an error was reported between two offsets; `faults` must be sorted."""
-        found = bisect_left(self.faults, start)
-        return found < len(self.faults) and self.faults[found] <= end
+        index = bisect_left(self.faults, start)
+        return index < len(self.faults) and self.faults[index] <= end
 
 
 _PIECE = re.compile(
@@ -110,19 +110,19 @@ _NO_NUMBERS = ("nan", "inf", "infinity")
 
 def scan(source: Source, report: Report) -> Scan:
     """Return the tokens of a text. Errors go to `report`; no text raises an exception."""
-    found = Scan(source, report, list(source.text))
-    look_over(found)
-    _Scanner(found).run()
-    found.faults.sort()
-    return found
+    text_scan = Scan(source, report, list(source.text))
+    look_over(text_scan)
+    _Scanner(text_scan).run()
+    text_scan.faults.sort()
+    return text_scan
 
 
 class _Scanner:
     """One pass over the text. Each kind of token has a method; `odd` ones are corrected or blanked."""
 
-    def __init__(self, found: Scan) -> None:
-        self.found = found
-        self.characters = "".join(found.clean)
+    def __init__(self, text_scan: Scan) -> None:
+        self.found = text_scan
+        self.characters = "".join(text_scan.clean)
         self.indent = 0  # of the line so far, -1 after its first token
         self.reported: set[str] = set()  # names and kinds of slip that have been complained about already
         self.last_end = -1  # offset where the last token ended
@@ -272,12 +272,12 @@ class _Scanner:
     def commas(self, start: int, end: int) -> int:
         """Report a number with a comma where no comma can separate two numbers. If a decimal comma is meant, read it with a
         dot."""
-        told = comma_in_number(Span(self.found.source, start, end))
-        self.found.report.add(told)
+        diagnostic = comma_in_number(Span(self.found.source, start, end))
+        self.found.report.add(diagnostic)
         self.found.faults.append(start)
-        if told.fix is None or len(told.fix.text) < end - start:
+        if diagnostic.fix is None or len(diagnostic.fix.text) < end - start:
             return self.unreadable(start, self.quantity_end(end))
-        self.found.replace(start, told.fix.text)
+        self.found.replace(start, diagnostic.fix.text)
         return self.token("number", start, self.quantity_end(end))
 
     def unreadable(self, start: int, end: int) -> int:
@@ -389,7 +389,7 @@ class _Scanner:
         return self.token("text", start, stop)
 
 
-def text_before(found: Scan) -> str:
+def text_before(text_scan: Scan) -> str:
     """The text of the token that was read last."""
-    last = found.tokens[-1]
-    return found.source.text[last.start : last.end]
+    last = text_scan.tokens[-1]
+    return text_scan.source.text[last.start : last.end]

@@ -11,7 +11,7 @@ from antdsl import limits
 from antdsl.bounded import NotRegular, TooLarge, open_regular, read_handle
 from antdsl.diagnostics.model import Report
 from antdsl.source import Source, Span
-from antdsl.whole import whole_file
+from antdsl.whole import atomic_file
 
 # First bytes of files that are something else.
 _OTHERS = (
@@ -58,7 +58,7 @@ def read_bytes(name: str, data: bytes) -> tuple[Source | None, Report]:
         return None, report
     for magic, kind in _OTHERS:
         if data.startswith(magic):
-            report.error("not-an-ant-file", f"`{name}` looks like {kind}", None, _wanted(kind))
+            report.error("not-an-ant-file", f"`{name}` looks like {kind}", None, _advise(kind))
             return None, report
     text = _decode(name, data, report)
     if text is None:
@@ -66,7 +66,7 @@ def read_bytes(name: str, data: bytes) -> tuple[Source | None, Report]:
     return Source(name, text.removeprefix("\ufeff").replace("\r\n", "\n").replace("\r", "\n")), report
 
 
-def _wanted(kind: str) -> str:
+def _advise(kind: str) -> str:
     return "save it as UTF-8" if kind.startswith("UTF-16") else "name a text file that begins with `ant 1`"
 
 
@@ -96,11 +96,11 @@ def _decode(name: str, data: bytes, report: Report) -> str | None:
     try:
         return data.decode("utf-8")
     except UnicodeDecodeError as error:
-        shown = Source(name, data.decode("utf-8", errors="replace"))
+        display_source = Source(name, data.decode("utf-8", errors="replace"))
         place = len(data[: error.start].decode("utf-8"))
         message = f"byte {error.start} is not UTF-8 text"
         help = "save the file as UTF-8 in your editor"
-        report.error("not-utf8", message, Span(shown, place, place + 1), help)
+        report.error("not-utf8", message, Span(display_source, place, place + 1), help)
         return None
 
 
@@ -111,7 +111,7 @@ def write(path: Path, text: str) -> None:
     if not os.access(place, os.W_OK):
         # the folder would let us put another file in its place, but this one is not to be changed
         raise PermissionError(13, "permission denied", str(path))
-    with whole_file(place) as file:
+    with atomic_file(place) as file:
         if os.chmod in os.supports_fd:  # before there is anything in it to read
             os.chmod(file.fileno(), stat.S_IMODE(place.stat().st_mode))
         file.write(text.encode("utf-8"))

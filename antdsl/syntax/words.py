@@ -194,7 +194,7 @@ RULE_FORMS: dict[str, str] = {
 }
 
 # After these words or signs, what comes next, in words.
-AFTER: dict[str, str] = {
+CONTINUATIONS: dict[str, str] = {
     "when": "a condition",
     "and": "a condition",
     "or": "a condition",
@@ -244,6 +244,6 @@ AFTER: dict[str, str] = {
 
 # All words that have a meaning of their own somewhere in a line.
 WORDS = frozenset(
-    {*(word for words in LINE_WORDS.values() for word in words), *(word for word in AFTER if word.isalpha())}
+    {*(word for words in LINE_WORDS.values() for word in words), *(word for word in CONTINUATIONS if word.isalpha())}
     | {"relax", "strongest", "any", "except", "none", "all"}
 )

@@ -21,7 +21,19 @@ from antdsl.bench.cases import NoCase, case_of, opened
 from antdsl.bench.costs import BOUND, Failed, Measured, measured
 from antdsl.bench.measuring import hand_written, measure
 from antdsl.bench.programs import BOIDS, NODE
-from antdsl.bench.tables import HEADS, Result, about, as_json, between, from_json, machine, phases, ratio_text, told, whole_step
+from antdsl.bench.tables import (
+    COLUMNS,
+    Result,
+    as_json,
+    between,
+    describe_result,
+    from_json,
+    list_messages,
+    machine,
+    phases,
+    ratio_text,
+    whole_step,
+)
 from antdsl.cli.printing.bench_tables import show
 from antdsl.machine_code import machine as native_machine
 from antdsl.machine_code.object_cache import VARIABLE
@@ -59,11 +71,11 @@ def test_the_valley_of_meshes_is_the_valley_without_its_volume() -> None:
 
 @pytest.mark.parametrize(("name", "least", "most"), [("boids", 7.5, 10.5), ("cluster", 60, 105)])
 def test_boids_see_about_as_many_as_is_said(name: str, least: float, most: float) -> None:
-    found = measure(Job(name, 1000, ("numpy",), turns=1, steps=1))
-    assert found.neighbours is not None and least < found.neighbours < most
+    measurement = measure(Job(name, 1000, ("numpy",), turns=1, steps=1))
+    assert measurement.neighbours is not None and least < measurement.neighbours < most
 
 
-def test_a_scene_is_scaled_or_told_why_not(tmp_path: Path) -> None:
+def test_a_scene_is_scaled_or_the_reason_is_given(tmp_path: Path) -> None:
     scene = resources.example_file("minimal/scene.yaml")
     assert sum(crowd.count for crowd in case_of(str(scene)).make(33).setting.crowds) == 33
     with pytest.raises(NoCase, match="stand still"):
@@ -71,39 +83,39 @@ def test_a_scene_is_scaled_or_told_why_not(tmp_path: Path) -> None:
     (tmp_path / "scene.yaml").write_text("antdsl: 1\n")
     with pytest.raises(NoCase) as why:
         opened(tmp_path / "scene.yaml", None)
-    assert [found.code for found in why.value.report.errors] == ["no-crowd"]
+    assert [diagnostic.code for diagnostic in why.value.report.errors] == ["no-crowd"]
 
 
 def test_costs_of_phases_add_up_to_those_of_steps() -> None:
-    found = measure(Job("node", 100, ("numpy", "reference"), turns=3, steps=2))
-    assert found.agents == 100 and found.steps == 2
+    measurement = measure(Job("node", 100, ("numpy", "reference"), turns=3, steps=2))
+    assert measurement.agents == 100 and measurement.steps == 2
     for name in ("numpy", "reference"):
-        cost = found.costs[name]
+        cost = measurement.costs[name]
         assert len(cost.cpu) == len(cost.wall) == 3
         assert sum(cost.phases_cpu.values()) == pytest.approx(sum(cost.cpu) / 3, rel=0.2)
         assert sum(cost.phases_wall.values()) == pytest.approx(sum(cost.wall) / 3, rel=0.2)
-    assert len(found.ratios("reference", "numpy")) == 3
-    assert found.set_up.total > found.set_up.first > 0 and found.counts["elements"] > found.agents
-    assert 100 * 100 < found.state < 100 * 1000, "an ant is some hundred bytes"
-    assert Measured.from_json(found.as_json()) == found
+    assert len(measurement.ratios("reference", "numpy")) == 3
+    assert measurement.set_up.total > measurement.set_up.first > 0 and measurement.counts["elements"] > measurement.agents
+    assert 100 * 100 < measurement.state < 100 * 1000, "an ant is some hundred bytes"
+    assert Measured.from_json(measurement.as_json()) == measurement
 
 
 @pytest.mark.slow
 def test_a_full_run_costs_more_than_its_step() -> None:
-    found = measured(Job("node", 500, ("numpy",), turns=4, steps=8, full_run=True))
-    run = found.full_run
+    measurement = measured(Job("node", 500, ("numpy",), turns=4, steps=8, full_run=True))
+    run = measurement.full_run
     assert run is not None and run.cpu > run.step > run.feet >= 0 and run.frames >= 8
-    assert found.memory > found.state
+    assert measurement.memory > measurement.state
     with pytest.raises(Failed, match="stand still"):
         measured(Job("tunnel", 7, ("numpy",)))
 
 
-def test_machine_code_is_there_before_steps_are_measured_and_its_making_and_loading_are_told(
+def test_machine_code_is_ready_before_steps_are_measured_and_its_making_and_loading_are_reported(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     """Whatever earlier runs have kept: each function is made once, and loaded once from the folder that then has it."""
     need_llvmlite()
-    made: list[str] = []
+    compiled_texts: list[str] = []
     by_numpy: list[str] = []
     plain, make = NumpyBackend.run, native_machine.object_code
 
@@ -112,20 +124,20 @@ def test_machine_code_is_there_before_steps_are_measured_and_its_making_and_load
         plain(self, world, population, block, *rows)
 
     def object_code(text: str, target: native_machine.Target) -> bytes:
-        made.append(text)
+        compiled_texts.append(text)
         return make(text, target)
 
     monkeypatch.setattr(NumpyBackend, "run", run)
     monkeypatch.setattr(native_machine, "object_code", object_code)
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
-    before = os.environ.get(VARIABLE)
-    found = measure(Job("node", 60, ("native",), turns=2, steps=1, full_run=True))
-    assert len(made) == len(set(made)) > 0, "none again for what is loaded, nor for the run with a cache"
+    previous_folder = os.environ.get(VARIABLE)
+    measurement = measure(Job("node", 60, ("native",), turns=2, steps=1, full_run=True))
+    assert len(compiled_texts) == len(set(compiled_texts)) > 0, "none again for what is loaded, nor for the run with a cache"
     assert [block for block in by_numpy if block in ("act", "blend")] == ["act", "blend"], "the first step, and no other"
-    assert found.set_up.code and found.set_up.kept and found.set_up.second
-    assert os.environ.get(VARIABLE) == before and list(tmp_path.iterdir()) == []
-    (row,) = whole_step(Result((found,)))
-    assert "" not in row[-3:] and row[HEADS.index("code, CPU s")] != ""
+    assert measurement.set_up.code and measurement.set_up.kept and measurement.set_up.second
+    assert os.environ.get(VARIABLE) == previous_folder and list(tmp_path.iterdir()) == []
+    (row,) = whole_step(Result((measurement,)))
+    assert "" not in row[-3:] and row[COLUMNS.index("code, CPU s")] != ""
     other = measure(Job("node", 60, ("numpy",), turns=1, steps=1))
     assert (other.set_up.code, other.set_up.kept) == (None, None)
     (row,) = whole_step(Result((other,)))
@@ -139,23 +151,23 @@ def test_code_that_no_folder_keeps_has_no_time_to_be_loaded_in(monkeypatch: pyte
         raise PermissionError(13, "Permission denied")
 
     monkeypatch.setattr("antdsl.machine_code.signing.signer", no_key)
-    found = measure(Job("node", 60, ("native",), turns=1, steps=1))
-    assert found.set_up.code and found.set_up.kept is None
-    (line,) = told(Result((found,)))
+    measurement = measure(Job("node", 60, ("native",), turns=1, steps=1))
+    assert measurement.set_up.code and measurement.set_up.kept is None
+    (line,) = list_messages(Result((measurement,)))
     assert line.startswith("native: compiled code is not stored in") and "there is none (Permission denied)" in line
 
 
-def test_where_there_is_no_machine_code_that_is_told_with_the_times(
+def test_missing_machine_code_is_reported_with_the_times(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     coming: Future[None] = Future()
     coming.set_exception(ready.Unavailable("llvmlite is not there: install it"))
     monkeypatch.setattr("antdsl.runtime.backends.native.backend.beside", lambda *_: coming)
-    found = measure(Job("node", 1, ("native", "numpy"), turns=1, steps=1))
-    (line,) = told(Result((found,)))
+    measurement = measure(Job("node", 1, ("native", "numpy"), turns=1, steps=1))
+    (line,) = list_messages(Result((measurement,)))
     assert line.startswith("native: NumPy runs instead of machine code") and line.endswith("llvmlite is not there: install it")
-    assert Measured.from_json(json.loads(json.dumps(found.as_json()))) == found
-    show(Result((found,), found))
+    assert Measured.from_json(json.loads(json.dumps(measurement.as_json()))) == measurement
+    show(Result((measurement,), measurement))
     printed = capsys.readouterr().out.splitlines()
     assert printed[0].startswith("node, 1 agent; ") and printed[1] == line
     assert {"grew by, MiB", "first step, CPU s"} <= {words.split("  ")[0] for words in printed}
@@ -169,12 +181,12 @@ def test_words_of_what_was_measured() -> None:
     result = Result((replace(one, costs={"numpy": cost, BOUND: slower}),), together)
     assert between(result) == ["other: 2.000 (2.000 to 2.000) of the CPU time of numpy, in turn in one process"]
     (row,) = whole_step(result)
-    cells = dict(zip(HEADS, row, strict=True))
+    cells = dict(zip(COLUMNS, row, strict=True))
     assert row[0] == "numpy" and cells["bare step, CPU ms"] == f"{cost.cpu_ms:.2f}"
     assert cells["of the bound"] == "0.500 (0.500 to 0.500)" and cells["run, CPU ms"] == ""
-    assert about(result).startswith("node, 60 agents; 500 points")
-    heads, rows = phases(result)
-    assert heads == ["phase", "numpy: CPU ms", "wall ms"] and {"blend", "move"} <= {each[0] for each in rows}
+    assert describe_result(result).startswith("node, 60 agents; 500 points")
+    columns, rows = phases(result)
+    assert columns == ["phase", "numpy: CPU ms", "wall ms"] and {"blend", "move"} <= {each[0] for each in rows}
     assert ratio_text([1.0, 2.0]) == "1.50 (2 turns)"
     (again,) = from_json(as_json([result]))
     assert again == result

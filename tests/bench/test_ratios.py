@@ -24,8 +24,8 @@ EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
 def test_the_interval_holds_the_mean_and_grows_with_the_spread() -> None:
     draw = np.random.default_rng(4)
     narrow, wide = (interval((1.1 + spread * draw.normal(size=20)).tolist()) for spread in (0.01, 0.1))
-    for found in (narrow, wide):
-        assert found.low < found.mean < found.high
+    for estimate in (narrow, wide):
+        assert estimate.low < estimate.mean < estimate.high
     assert narrow.high - narrow.low < 0.02 < wide.high - wide.low
     assert interval([1.0] * 20) == interval([1.0] * 5)
 
@@ -44,9 +44,9 @@ def noisy(slower: float, seed: int) -> Ratio:
         order.append(tree)
         return noise * (slower if tree else 1.0) * float(draw.uniform(1.0, 1.1)) * (1.5 if draw.random() < 0.05 else 1.0)
 
-    found = [this / other for other, this in in_turn(measure, 2, 20)]
+    quotients = [this / other for other, this in in_turn(measure, 2, 20)]
     assert order.count(0) == order.count(1) == 21 and order[2:6] == [1, 0, 0, 1]
-    return interval(found)
+    return interval(quotients)
 
 
 @pytest.mark.parametrize("machines", [8, pytest.param(100, marks=pytest.mark.slow)])
@@ -67,15 +67,15 @@ def test_a_step_made_longer_by_a_third_is_caught() -> None:
             np.sort(work)
         return time.process_time() - started
 
-    found = in_turn(cost, 3, 40)
-    assert interval([slow / plain for plain, slow, _ in found]).above(1.05)
-    assert not interval([same / plain for plain, _, same in found]).above(1.2)
+    costs = in_turn(cost, 3, 40)
+    assert interval([slow / plain for plain, slow, _ in costs]).above(1.05)
+    assert not interval([same / plain for plain, _, same in costs]).above(1.2)
 
 
 def test_three_take_turns_and_each_is_first_as_often() -> None:
     order: list[int] = []
-    found = in_turn(lambda runner: order.append(runner) or runner, 3, 6, warm=0)
-    assert found == [(0, 1, 2)] * 6
+    turns = in_turn(lambda runner: order.append(runner) or runner, 3, 6, warm=0)
+    assert turns == [(0, 1, 2)] * 6
     assert [order[0], order[3], order[6]] == [1, 2, 0] and all(sorted(order[k : k + 3]) == [0, 1, 2] for k in range(0, 18, 3))
 
 
@@ -111,12 +111,12 @@ def test_a_scaled_crowd_stands_as_densely(agents: int) -> None:
 
 
 @pytest.mark.parametrize(("agents", "counts"), [(3, [1, 0, 1, 0, 1]), (5, [1] * 5), (12, [2, 3, 2, 3, 2]), (1, [0, 0, 1, 0, 0])])
-def test_however_a_crowd_of_parts_is_scaled_there_are_as_many_as_asked(agents: int, counts: list[int]) -> None:
+def test_however_a_crowd_of_parts_is_scaled_the_total_is_the_requested_one(agents: int, counts: list[int]) -> None:
     shot, _ = open_scene(EXAMPLES / "foraging" / "scene.yaml")
     assert shot is not None
     crowd = replace(shot.setting.crowds[0], count=1)
-    made = scaled(replace(shot.setting, crowds=(crowd,) * 5), agents)
-    assert [each.count for each in made.crowds] == counts
+    scaled_setting = scaled(replace(shot.setting, crowds=(crowd,) * 5), agents)
+    assert [each.count for each in scaled_setting.crowds] == counts
 
 
 def test_what_cannot_be_scaled_is_refused() -> None:

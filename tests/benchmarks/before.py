@@ -31,7 +31,7 @@ WARM, WARM_FOR = (
     1.0,
 )  # steps that are not counted, and s of them: rows come into order of place after the first, and kernels are
 # loaded once steps have taken a third of a second
-WAYS = (("before", ""), ("NumPy", "numpy"), ("native", "native"))
+VARIANTS = (("before", ""), ("NumPy", "numpy"), ("native", "native"))
 
 
 def shot_of(case: str, agents: int | None) -> tuple[Any, Any]:
@@ -54,7 +54,7 @@ def shot_of(case: str, agents: int | None) -> tuple[Any, Any]:
     else:
         shot, report = open_scene(Path.cwd() / case)
     if shot is None:
-        raise SystemExit("\n".join(found.message for found in report.errors))
+        raise SystemExit("\n".join(diagnostic.message for diagnostic in report.errors))
     setting = shot.setting if agents is None else scaled(shot.setting, agents)
     # An older tree has no contacts, and the frame that is written by hand has none.
     return shot.plan, replace(setting, contacts="off") if hasattr(setting, "contacts") else setting
@@ -67,10 +67,10 @@ def rays_timed() -> list[float]:
     spent = [0.0]
 
     def timed(work: Callable[..., Any]) -> Callable[..., Any]:
-        def run(*given: Any, **named: Any) -> Any:
+        def run(*arguments: Any, **named: Any) -> Any:
             began = time.process_time()
             try:
-                return work(*given, **named)
+                return work(*arguments, **named)
             finally:
                 spent[0] += time.process_time() - began
 
@@ -89,11 +89,11 @@ def serve(case: str, agents: int | None, backend: str, steps: int) -> None:
     """Make turns of steps as they are asked for, a line each; tells CPU seconds of a step by phase."""
     from antdsl.runtime import Options, bind, step
 
-    more: dict[str, Any] = {"backend": backend} if backend else {}
+    options: dict[str, Any] = {"backend": backend} if backend else {}
     if backend == "native":
-        more["wait_for_code"] = True
+        options["wait_for_code"] = True
     rays = rays_timed()
-    world = bind(*shot_of(case, agents), Options(threads=1, **more))
+    world = bind(*shot_of(case, agents), Options(threads=1, **options))
     taken = 0
     while taken < WARM or sum(world.worked.values()) < WARM_FOR:
         step(world)
@@ -104,10 +104,10 @@ def serve(case: str, agents: int | None, backend: str, steps: int) -> None:
         rays[0] = 0.0
         for _ in range(steps):
             step(world)
-        told = {phase: seconds / steps for phase, seconds in world.worked.items()}
-        told["blocks"] = sum(told[phase] for phase in BLOCKS) - rays[0] / steps
-        told["step"] = sum(world.worked.values()) / steps
-        print(json.dumps(told), flush=True)
+        times = {phase: seconds / steps for phase, seconds in world.worked.items()}
+        times["blocks"] = sum(times[phase] for phase in BLOCKS) - rays[0] / steps
+        times["step"] = sum(world.worked.values()) / steps
+        print(json.dumps(times), flush=True)
 
 
 def started(tree: Path, words: list[str]) -> subprocess.Popen[str]:
@@ -132,8 +132,8 @@ def turn(children: list[subprocess.Popen[str]], number: int) -> dict[str, float]
     assert child.stdin is not None and child.stdout is not None
     child.stdin.write("\n")
     child.stdin.flush()
-    found: dict[str, float] = json.loads(child.stdout.readline())
-    return found
+    times: dict[str, float] = json.loads(child.stdout.readline())
+    return times
 
 
 def main() -> None:
@@ -146,22 +146,22 @@ def main() -> None:
     parser.add_argument("--steps", type=int, default=1, help="of a turn")
     parser.add_argument("--backend", default="", help=argparse.SUPPRESS)
     parser.add_argument("--serve", action="store_true", help=argparse.SUPPRESS)
-    given = parser.parse_args()
-    if given.serve:
-        serve(given.case, given.agents, given.backend, given.steps)
+    options = parser.parse_args()
+    if options.serve:
+        serve(options.case, options.agents, options.backend, options.steps)
         return
-    words = [str(given.other), given.case, "--steps", str(given.steps)]
-    words += [] if given.agents is None else ["--agents", str(given.agents)]
-    trees = (given.other.resolve(), ROOT, ROOT)
-    children = [started(tree, [*words, "--backend", way]) for tree, (_, way) in zip(trees, WAYS, strict=True)]
-    found = ratios.in_turn(partial(turn, children), len(WAYS), given.pairs)
+    words = [str(options.other), options.case, "--steps", str(options.steps)]
+    words += [] if options.agents is None else ["--agents", str(options.agents)]
+    trees = (options.other.resolve(), ROOT, ROOT)
+    children = [started(tree, [*words, "--backend", variant]) for tree, (_, variant) in zip(trees, VARIANTS, strict=True)]
+    turns = ratios.in_turn(partial(turn, children), len(VARIANTS), options.pairs)
     for child in children:
         child.kill()
-    print(f"{given.case}, {given.agents or 'its own'} agents, {given.pairs} turns of {given.steps} steps; CPU ms a step")
-    print("| phase | " + " | ".join(name for name, _ in WAYS) + " | NumPy / before | native / before | native / NumPy |")
-    print("|---|" + "---|" * (len(WAYS) + 3))
-    for phase in found[0][0]:
-        costs = [[each[way].get(phase, 0.0) for each in found] for way in range(len(WAYS))]
+    print(f"{options.case}, {options.agents or 'its own'} agents, {options.pairs} turns of {options.steps} steps; CPU ms a step")
+    print("| phase | " + " | ".join(name for name, _ in VARIANTS) + " | NumPy / before | native / before | native / NumPy |")
+    print("|---|" + "---|" * (len(VARIANTS) + 3))
+    for phase in turns[0][0]:
+        costs = [[each[variant].get(phase, 0.0) for each in turns] for variant in range(len(VARIANTS))]
         if mean(costs[0]) < 1e-5 and phase != "step":
             continue
         row = [f"{1000 * mean(each):.2f}" for each in costs]

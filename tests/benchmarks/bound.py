@@ -144,7 +144,7 @@ def live(
             if items[k, 2] == 0 and d < nest:
                 nest, nx, nz = d, dx / d, dz / d
         s, since[i] = state[i], since[i] + dt
-        before = s
+        previous_state = s
         if s == SEARCH:
             s = APPROACH if meal < 3 else TRAIL if best > F(0.05) else HOME if since[i] > 30 else s
         elif s == HOME:
@@ -155,7 +155,7 @@ def live(
             s = TRAIL if nest < 1 else s
         else:
             s = APPROACH if meal < 3 else SEARCH if best < F(0.05) and since[i] > 1 else s
-        if s != before:
+        if s != previous_state:
             state[i], since[i] = s, 0
         word = np.uint32(i) * np.uint32(0x9E3779B9) ^ np.uint32(frame) * np.uint32(0x85EBCA6B)
         word ^= word >> np.uint32(15)
@@ -229,7 +229,7 @@ def live(
 
 
 @njit(cache=True, fastmath=True)
-def felt(number: NDArray, normals: Floats, hit: Floats) -> None:
+def push_away(number: NDArray, normals: Floats, hit: Floats) -> None:
     """Push away from what feelers met: `number` of each feeler that did."""
     hit[:] = 0
     for k in range(len(number)):
@@ -266,8 +266,8 @@ class Bound:
         self.across = max(1, int(SIDE / self.radius))
         self.start = np.zeros(self.across**2 + 1, np.int64)
         self.order, self.cell = np.empty(n, np.int64), np.empty(n, np.int64)
-        places = draw.uniform(10.0, SIDE - 10.0, (9, 2))
-        self.items = np.concatenate([places, (np.arange(9) < 6).astype(float)[:, None]], 1).astype(F)
+        positions = draw.uniform(10.0, SIDE - 10.0, (9, 2))
+        self.items = np.concatenate([positions, (np.arange(9) < 6).astype(float)[:, None]], 1).astype(F)
         self.scent, self.spread = np.zeros(CELLS**2, F), np.zeros(CELLS**2, F)
         self.field = np.full(VOXELS**3, F(1))
         self.number = 0
@@ -278,8 +278,8 @@ class Bound:
 
     def _step_down(self) -> None:
         rays_of(self.x, self.y + F(20), self.z, self.hx, self.hz, self.feelers, self.feet)
-        met = self.scene.cast_rays(o3d.core.Tensor(self.feet), nthreads=1)["t_hit"].numpy()
-        self.y = (F(21) - met[::2]).astype(F)
+        distances = self.scene.cast_rays(o3d.core.Tensor(self.feet), nthreads=1)["t_hit"].numpy()
+        self.y = (F(21) - distances[::2]).astype(F)
 
     def frame(self) -> None:
         """One frame."""
@@ -288,8 +288,8 @@ class Bound:
         rays_of(self.x, self.y, self.z, self.hx, self.hz, self.feelers, self.feet)
         occluded = self.scene.test_occlusions(o3d.core.Tensor(self.feelers), tnear=0.0, tfar=self.reach, nthreads=1).numpy()
         number = np.flatnonzero(occluded)
-        met = self.scene.cast_rays(o3d.core.Tensor(self.feelers[number]), nthreads=1)
-        felt(number, met["primitive_normals"].numpy(), self.hit)
+        hits = self.scene.cast_rays(o3d.core.Tensor(self.feelers[number]), nthreads=1)
+        push_away(number, hits["primitive_normals"].numpy(), self.hit)
         ground = self.scene.cast_rays(o3d.core.Tensor(self.feet), nthreads=1)["t_hit"].numpy()
         spread(self.scent, self.spread, F(0.995), F(0.05))
         self.scent, self.spread = self.spread, self.scent
@@ -311,14 +311,14 @@ def milliseconds(agents: int, frames: int) -> float:
     return float(np.median(spent))
 
 
-def main(given: Sequence[str] | None = None) -> None:
+def main(arguments: Sequence[str] | None = None) -> None:
     """Print a line for each number of ants."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("agents", type=int, nargs="*", default=[15_000, 100_000, 1_000_000])
     parser.add_argument("--frames", type=int, default=FRAMES)
-    asked = parser.parse_args(given)
-    for agents in asked.agents:
-        print(f"{agents:>9,} ants: {milliseconds(agents, asked.frames):8.1f} ms a frame", flush=True)
+    options = parser.parse_args(arguments)
+    for agents in options.agents:
+        print(f"{agents:>9,} ants: {milliseconds(agents, options.frames):8.1f} ms a frame", flush=True)
 
 
 if __name__ == "__main__":

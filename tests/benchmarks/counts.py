@@ -35,25 +35,29 @@ def counted(cases: Sequence[str] = ()) -> Counts:
     left_out = {"reference"}  # nobody waits for the definition's speed
     if not machine.available():
         left_out.add("native")  # which would run what NumPy runs
-    found = {}
+    counts_by_case = {}
     for name, agents in ((name, agents) for name, agents in COUNTED if not cases or name in cases):
         shot = case_of(name).make(agents)
         for backend in BACKENDS:
             if backend not in left_out:
-                found[f"{name} {agents or ''} {backend}".replace("  ", " ")] = counts_of(shot.plan, shot.setting, backend)
-    return found
+                counts_by_case[f"{name} {agents or ''} {backend}".replace("  ", " ")] = counts_of(
+                    shot.plan, shot.setting, backend
+                )
+    return counts_by_case
 
 
-def grown(found: Mapping[str, Mapping[str, int]], recorded: Mapping[str, Mapping[str, int]]) -> list[str]:
+def grown(counts_by_case: Mapping[str, Mapping[str, int]], recorded: Mapping[str, Mapping[str, int]]) -> list[str]:
     """Lines about counts that exceed their budget, or are not recorded."""
     lines = []
-    for case, counts in found.items():
+    for case, counts in counts_by_case.items():
         for name, number in counts.items():
-            before = recorded.get(case, {}).get(name)
-            if before is None:
+            recorded_number = recorded.get(case, {}).get(name)
+            if recorded_number is None:
                 lines.append(f"{case}: {name} is {number:,} and not recorded")
-            elif number > BUDGET * before:
-                lines.append(f"{case}: {name} is {number:,}, {number / max(before, 1):.3f} times the {before:,} recorded")
+            elif number > BUDGET * recorded_number:
+                lines.append(
+                    f"{case}: {name} is {number:,}, {number / max(recorded_number, 1):.3f} times the {recorded_number:,} recorded"
+                )
     return lines
 
 
@@ -63,25 +67,25 @@ def main() -> None:
     parser.add_argument("cases", nargs="*", help="names of cases; all without any")
     parser.add_argument("--record", action="store_true")
     parser.add_argument("--print", action="store_true")
-    given = parser.parse_args()
-    if given.record and given.cases:
+    options = parser.parse_args()
+    if options.record and options.cases:
         parser.error("--record takes all cases")
-    if given.record:
+    if options.record:
         from antdsl.machine_code import machine
 
         if why := machine.unavailable():
             raise SystemExit(f"--record takes all backends: {why}")
-    found = counted(given.cases)
-    if given.print or given.record:
-        text = json.dumps(found, indent=2, sort_keys=True) + "\n"
-        print(text, end="") if given.print else RECORDED.write_text(text, encoding="utf-8")
+    counts_by_case = counted(options.cases)
+    if options.print or options.record:
+        text = json.dumps(counts_by_case, indent=2, sort_keys=True) + "\n"
+        print(text, end="") if options.print else RECORDED.write_text(text, encoding="utf-8")
         return
     recorded = json.loads(RECORDED.read_text(encoding="utf-8"))
-    for case, counts in found.items():
+    for case, counts in counts_by_case.items():
         for name, number in counts.items():
-            if number < (before := recorded.get(case, {}).get(name, 0)):
-                print(f"{case}: {name} is {number:,}, less than the {before:,} recorded")
-    if lines := grown(found, recorded):
+            if number < (recorded_number := recorded.get(case, {}).get(name, 0)):
+                print(f"{case}: {name} is {number:,}, less than the {recorded_number:,} recorded")
+    if lines := grown(counts_by_case, recorded):
         raise SystemExit("\n".join([*lines, "where that is meant: python tests/benchmarks/counts.py --record"]))
 
 

@@ -22,7 +22,7 @@ from antdsl.syntax import parse
 Floats = NDArray[np.float64]
 
 FPS = 24
-APART = 700.0  # mm on the circle for each
+SPACING = 700.0  # mm on the circle for each
 STILL = 0.05  # of the greatest speed, as a mean over the last seconds: who is slower and not there is stuck
 WITHIN, LATE = 500.0, 5 * FPS  # mm from a goal; steps
 
@@ -56,11 +56,11 @@ class Crossed:
     cost: float
 
 
-def world_of(text: str, places: Floats, surface: tuple[Floats, NDArray[np.int32]] | None = None) -> World:
+def world_of(text: str, positions: Floats, surface: tuple[Floats, NDArray[np.int32]] | None = None) -> World:
     file, report = parse(Source("crossing.ant", text))
-    program, found = check([file], lambda name: None)
-    assert report.ok and found.ok, [each.message for each in (*report.sorted(), *found.sorted())]
-    crowd = CrowdData("person", len(places), PlaceData(points=places))
+    program, check_report = check([file], lambda name: None)
+    assert report.ok and check_report.ok, [each.message for each in (*report.sorted(), *check_report.sorted())]
+    crowd = CrowdData("person", len(positions), PlaceData(points=positions))
     surfaces = {} if surface is None else {"floor": MeshData(*surface)}
     setting = Setting(crowds=(crowd,), surfaces=surfaces, fps=FPS)  # type: ignore[arg-type]
     return bind(passes.optimise(plan.lower(program)[0]), setting, Options(threads=1))
@@ -69,9 +69,9 @@ def world_of(text: str, places: Floats, surface: tuple[Floats, NDArray[np.int32]
 def circle(agents: int, seconds: float, within: float = 6.0) -> Crossed:
     """All on a circle, with 0.7 m for each, go to its other side; they look `within` so many metres."""
     text = PERSON.format(within=within, world="", goal="-position", off="goal - position", ends="")
-    angle, radius = 2 * np.pi * np.arange(agents) / agents, max(agents * APART / (2 * np.pi), 4000.0)
-    places = np.stack([radius * np.cos(angle), np.zeros(agents), radius * np.sin(angle)], axis=1)
-    return crossed(world_of(text, places), -places, seconds)
+    angle, radius = 2 * np.pi * np.arange(agents) / agents, max(agents * SPACING / (2 * np.pi), 4000.0)
+    positions = np.stack([radius * np.cos(angle), np.zeros(agents), radius * np.sin(angle)], axis=1)
+    return crossed(world_of(text, positions), -positions, seconds)
 
 
 def corridor(agents: int, seconds: float, wide: float, long: float = 24_000.0) -> Crossed:
@@ -84,23 +84,23 @@ def corridor(agents: int, seconds: float, wide: float, long: float = 24_000.0) -
         off="goal * 10000",
         ends=f"when dot(position, unit(goal)) > {long / 2:g} mm -> go {{ die }}",
     )
-    half, row = agents // 2, max(int(wide // APART), 1)
+    half, row = agents // 2, max(int(wide // SPACING), 1)
     k = np.arange(half)
-    across = (k % row - (row - 1) / 2) * APART
-    back = long / 2 + (k // row) * APART
+    across = (k % row - (row - 1) / 2) * SPACING
+    back = long / 2 + (k // row) * SPACING
     one = np.stack([-back, np.zeros(half), across], axis=1)
-    places = np.concatenate([one, one * [-1, 1, -1] + [0, 0, 0.11 * APART]])
-    end = float(back.max()) + APART
+    positions = np.concatenate([one, one * [-1, 1, -1] + [0, 0, 0.11 * SPACING]])
+    end = float(back.max()) + SPACING
     line, side = np.linspace(-end, end, 2 * int(end // 2000) + 2), np.array([-wide / 2, wide / 2])
     vertices = np.stack([np.repeat(line, 2), np.zeros(2 * len(line)), np.tile(side, len(line))], axis=1)
     a = 2 * np.arange(len(line) - 1)
     faces = np.concatenate([np.stack([a, a + 1, a + 3], axis=1), np.stack([a, a + 3, a + 2], axis=1)]).astype(np.int32)
-    return crossed(world_of(text, places, (vertices, faces)), None, seconds)
+    return crossed(world_of(text, positions, (vertices, faces)), None, seconds)
 
 
 def crossed(world: World, goal: Floats | None, seconds: float) -> Crossed:
     """Run until all are within half a metre of a goal, in order of ids, or, with none, until all are gone."""
-    people, nearest, begun = world.populations["person"], np.inf, time.process_time()
+    people, nearest, start_time = world.populations["person"], np.inf, time.process_time()
     frame, left = 0, len(people)
     trail: list[tuple[NDArray[np.int64], Floats]] = []
     while frame < FPS * seconds:
@@ -115,13 +115,15 @@ def crossed(world: World, goal: Floats | None, seconds: float) -> Crossed:
         left = int(away.sum())
         if not left:
             break
-    cost = 1000 * (time.process_time() - begun) / frame
+    cost = 1000 * (time.process_time() - start_time) / frame
     if not left:
         return Crossed(frame / FPS, nearest, 0, 0, cost)
     ids, place = trail[-1]
-    before = dict(zip(trail[0][0].tolist(), trail[0][1], strict=True))
-    gone = np.array([np.linalg.norm(here - before[one]) for one, here in zip(ids.tolist(), place, strict=True)])
-    stuck = int((away & (gone < STILL * 1400 * (len(trail) - 1) / FPS)).sum())
+    start_positions = dict(zip(trail[0][0].tolist(), trail[0][1], strict=True))
+    distances = np.array(
+        [np.linalg.norm(position - start_positions[one]) for one, position in zip(ids.tolist(), place, strict=True)]
+    )
+    stuck = int((away & (distances < STILL * 1400 * (len(trail) - 1) / FPS)).sum())
     return Crossed(np.inf, nearest, stuck, left, cost)
 
 
@@ -132,13 +134,16 @@ def main() -> None:
     parser.add_argument("seconds", type=float)
     parser.add_argument("--wide", type=float, default=5.0, help="metres")
     parser.add_argument("--within", type=float, default=6.0, help="metres, on the circle")
-    asked = parser.parse_args()
-    if asked.where == "circle":
-        found = circle(asked.agents, asked.seconds, asked.within)
+    options = parser.parse_args()
+    if options.where == "circle":
+        result = circle(options.agents, options.seconds, options.within)
     else:
-        found = corridor(asked.agents, asked.seconds, asked.wide * 1000)
-    print(f"{asked.where}, {asked.agents}: all there after {found.seconds:.1f} s, {found.left} not, {found.stuck} of these stuck")
-    print(f"least distance {found.nearest / 1000:.2f} m of 0.40 m, {found.cost:.1f} ms a step")
+        result = corridor(options.agents, options.seconds, options.wide * 1000)
+    print(
+        f"{options.where}, {options.agents}: all there after {result.seconds:.1f} s, "
+        f"{result.left} not, {result.stuck} of these stuck"
+    )
+    print(f"least distance {result.nearest / 1000:.2f} m of 0.40 m, {result.cost:.1f} ms a step")
 
 
 if __name__ == "__main__":

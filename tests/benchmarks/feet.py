@@ -36,21 +36,21 @@ def row(ground: str, legs: int, speed: float) -> str:
     world = bind(shot.plan, shot.setting, Options(backend="numpy", feet=True))
     leg = float(world.walkers["walker"].legs.length.min()) * stick_bodies.SIZE
     slid = off = cycles = 0.0
-    stood = hung = far = lifted = 0
+    standing = hung = far = lifted = 0
     for _ in range(FRAMES):
-        before = deepcopy(world.feet["walker"])
+        previous_feet = deepcopy(world.feet["walker"])
         step(world)
         feet = world.feet["walker"]
-        both, moved = before.down & feet.down, feet.shown - before.shown
+        both, moved = previous_feet.down & feet.down, feet.shown - previous_feet.shown
         slid = max(slid, float(np.sqrt((moved * moved).sum(axis=0))[both].max(initial=0)))
         away = world.ground.nearest(np.ascontiguousarray(feet.shown[:, feet.down].T))[1]
         off, far = max(off, float(away.max())), far + int((away > 1e-3 * leg).sum())
-        stood, hung = stood + int(feet.down.sum()), hung + int(((feet.on == NOTHING) & (feet.swing >= 1)).sum())
-        lifted += int((before.down & ~feet.down).sum())
-        turned = ((feet.phase - before.phase) % 1.0)[~before.down.all(axis=1)]
+        standing, hung = standing + int(feet.down.sum()), hung + int(((feet.on == NOTHING) & (feet.swing >= 1)).sum())
+        lifted += int((previous_feet.down & ~feet.down).sum())
+        turned = ((feet.phase - previous_feet.phase) % 1.0)[~previous_feet.down.all(axis=1)]
         cycles = max(cycles, float(turned.max(initial=0)))
-    share = 100 * hung / (stood + hung)
-    cells = (ground, legs, f"{stood:,}", f"{lifted:,}", f"{slid / leg:.0e}", f"{off / leg:.0e}", far, f"{share:.2f} %")
+    share = 100 * hung / (standing + hung)
+    cells = (ground, legs, f"{standing:,}", f"{lifted:,}", f"{slid / leg:.0e}", f"{off / leg:.0e}", far, f"{share:.2f} %")
     return f"| {' | '.join(map(str, cells))} | {cycles:.2f} |"
 
 
@@ -78,9 +78,9 @@ def cost(count: int) -> str:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--cost", type=int, nargs="?", const=15_000, default=0, help="ants of which the cost is measured")
-    asked = parser.parse_args()
-    if asked.cost:
-        print(cost(asked.cost))
+    options = parser.parse_args()
+    if options.cost:
+        print(cost(options.cost))
         return
     print(
         "| ground | legs | feet that stand | lifts | moved, of a leg | off the surface, of a leg | float or sink | hang |", end=""

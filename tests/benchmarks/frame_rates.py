@@ -40,18 +40,18 @@ def table(
     seeds: Sequence[int], rates: Sequence[tuple[int, int]] = RATES, left: float = 0.0, jobs: int = 1
 ) -> dict[tuple[int, int], list[float]]:
     """Seconds until empty for each rate, in the order of the seeds."""
-    asked = [(fps, substeps, seed, left) for fps, substeps in rates for seed in seeds]
+    runs = [(fps, substeps, seed, left) for fps, substeps in rates for seed in seeds]
     if jobs == 1:
-        found = [seconds_until_empty(*each) for each in asked]
+        durations = [seconds_until_empty(*each) for each in runs]
     else:
         with ProcessPoolExecutor(jobs) as pool:
-            found = list(pool.map(seconds_until_empty, *zip(*asked, strict=True)))
-    return {rate: found[k * len(seeds) : (k + 1) * len(seeds)] for k, rate in enumerate(rates)}
+            durations = list(pool.map(seconds_until_empty, *zip(*runs, strict=True)))
+    return {rate: durations[k * len(seeds) : (k + 1) * len(seeds)] for k, rate in enumerate(rates)}
 
 
-def spread(found: dict[tuple[int, int], list[float]]) -> float:
+def spread(times_by_rate: dict[tuple[int, int], list[float]]) -> float:
     """How far the greatest median lies above the least, as a share."""
-    medians = [float(np.median(times)) for times in found.values()]
+    medians = [float(np.median(times)) for times in times_by_rate.values()]
     return max(medians) / min(medians) - 1
 
 
@@ -60,12 +60,12 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--seeds", type=int, default=SEEDS, help="how many")
     parser.add_argument("--jobs", type=int, default=1, help="processes")
-    given = parser.parse_args()
-    found = table(range(1, given.seeds + 1), jobs=given.jobs)
+    options = parser.parse_args()
+    times_by_rate = table(range(1, options.seeds + 1), jobs=options.jobs)
     print("fps  substeps  median s  least  most")
-    for (fps, substeps), times in found.items():
+    for (fps, substeps), times in times_by_rate.items():
         print(f"{fps:3d}  {substeps:8d}  {np.median(times):8.1f}  {min(times):5.1f}  {max(times):5.1f}")
-    print(f"the medians lie within {100 * spread(found):.1f} % of each other")
+    print(f"the medians lie within {100 * spread(times_by_rate):.1f} % of each other")
 
 
 if __name__ == "__main__":

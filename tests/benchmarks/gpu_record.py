@@ -74,39 +74,39 @@ class Recorder:
         code = kernel.part.function.__code__
         ranged = code.co_varnames[: code.co_argcount][-2:] == ("begin", "end")
         if name in self.seen or (ranged and arguments[-1] - arguments[-2] < self.part):
-            return kernel.made()(*arguments)
+            return kernel.load_function()(*arguments)
         self.seen.add(name)
         pieces = pieces_of([each for each in leaves(arguments) if isinstance(each, np.ndarray)])
-        before = [bytes_of(each) for each in pieces]
-        found = kernel.made()(*arguments)
-        after = [bytes_of(each) for each in pieces]
-        split = ranged and found is None and self._alike_in_parts(kernel, arguments, pieces, before, after)
+        old_contents = [bytes_of(each) for each in pieces]
+        result = kernel.load_function()(*arguments)
+        new_contents = [bytes_of(each) for each in pieces]
+        split = ranged and result is None and self._alike_in_parts(kernel, arguments, pieces, old_contents, new_contents)
         try:
             text = machine.assembly(kernel.text(TARGET) + RUN.format(name=kernel.__name__), TARGET)
         except RuntimeError as problem:
             print(f"{name}: no PTX ({str(problem).splitlines()[0]})")
-            return found
+            return result
         (self.folder / f"{name}.ptx").write_text(text)
-        words, places = laid_out(kernel, name, arguments, pieces)
-        kept = {f"before{k}": np.frombuffer(value, np.uint8) for k, value in enumerate(before)}
-        kept |= {f"after{k}": np.frombuffer(new, np.uint8) for k, new in enumerate(after) if new != before[k]}
-        np.savez(self.folder / f"{name}.npz", words=words, **kept)  # type: ignore[arg-type]
-        gives = [word_of(value) for value in leaves(found)] if found is not None else []
-        self.told.append({"name": name, "places": places, "part": self.part if split else 0, "gives": gives})
+        words, slots = laid_out(kernel, name, arguments, pieces)
+        arrays = {f"before{k}": np.frombuffer(value, np.uint8) for k, value in enumerate(old_contents)}
+        arrays |= {f"after{k}": np.frombuffer(new, np.uint8) for k, new in enumerate(new_contents) if new != old_contents[k]}
+        np.savez(self.folder / f"{name}.npz", words=words, **arrays)  # type: ignore[arg-type]
+        gives = [word_of(value) for value in leaves(result)] if result is not None else []
+        self.told.append({"name": name, "places": slots, "part": self.part if split else 0, "gives": gives})
         (self.folder / CALLS).write_text(json.dumps(self.told))
-        return found
+        return result
 
     def _alike_in_parts(
-        self, kernel: Kernel, arguments: Sequence[Any], pieces: list[range], before: list[bytes], after: list[bytes]
+        self, kernel: Kernel, arguments: Sequence[Any], pieces: list[range], old_contents: list[bytes], new_contents: list[bytes]
     ) -> bool:
         """Whether it comes to the same if agents go in parts, last first."""
-        for piece, value in zip(pieces, before, strict=True):
+        for piece, value in zip(pieces, old_contents, strict=True):
             put_bytes(piece, value)
         begin, end = arguments[-2:]
         for at in reversed(range(begin, end, self.part)):
-            kernel.made()(*arguments[:-2], at, min(at + self.part, end))
-        alike = [bytes_of(piece) for piece in pieces] == after
-        for piece, value in zip(pieces, after, strict=True):
+            kernel.load_function()(*arguments[:-2], at, min(at + self.part, end))
+        alike = [bytes_of(piece) for piece in pieces] == new_contents
+        for piece, value in zip(pieces, new_contents, strict=True):
             put_bytes(piece, value)
         return alike
 
@@ -115,9 +115,9 @@ def laid_out(
     kernel: Kernel, name: str, arguments: Sequence[Any], pieces: list[range]
 ) -> tuple[np.ndarray, list[tuple[int, int, int]]]:
     """The table of words that a call reads, but for addresses, and of these: the word, the piece of memory, and how far in it."""
-    wanted = [each for each in calling._wanted(kernel._types(), ()) if each.count is None]
-    words, places = np.zeros(calling.RESULTS + sum(calling._words(each) for each in wanted), np.uint64), []
-    for each, value in zip(wanted, leaves(arguments), strict=True):
+    parameters = [each for each in calling._argument_specs(kernel._types(), ()) if each.count is None]
+    words, slots = np.zeros(calling.RESULTS + sum(calling._words(each) for each in parameters), np.uint64), []
+    for each, value in zip(parameters, leaves(arguments), strict=True):
         if each.dtype is None:
             words[each.place] = word_of(float(value) if each.kind == REAL else int(value))
             continue
@@ -125,8 +125,8 @@ def laid_out(
         words[each.place + 1 : each.place + 1 + len(rest)] = rest
         number = next((k for k, piece in enumerate(pieces) if address in piece), None)
         if number is not None:
-            places.append((each.place, number, address - pieces[number].start))
-    return words, places
+            slots.append((each.place, number, address - pieces[number].start))
+    return words, slots
 
 
 def word_of(value: float | int | bool) -> int:
@@ -137,13 +137,13 @@ def word_of(value: float | int | bool) -> int:
 def pieces_of(arrays: Sequence[np.ndarray]) -> list[range]:
     """Addresses of the memory that arrays lie in, those that share some as one."""
     bounds = sorted(np.lib.array_utils.byte_bounds(each) for each in arrays if each.size)
-    found: list[range] = []
+    merged_pieces: list[range] = []
     for begin, end in bounds:
-        if found and begin < found[-1].stop:
-            found[-1] = range(found[-1].start, max(end, found[-1].stop))
+        if merged_pieces and begin < merged_pieces[-1].stop:
+            merged_pieces[-1] = range(merged_pieces[-1].start, max(end, merged_pieces[-1].stop))
         else:
-            found.append(range(begin, end))
-    return found
+            merged_pieces.append(range(begin, end))
+    return merged_pieces
 
 
 def bytes_of(piece: range) -> bytes:
@@ -167,13 +167,13 @@ def record(folder: Path, case: str, agents: int, part: int) -> None:
     with_code(world)
     folder.mkdir(parents=True, exist_ok=True)
     recorder = Recorder(folder, part)
-    kept = Kernel.__call__
+    original_call = Kernel.__call__
     Kernel.__call__ = lambda self, *arguments: recorder.call(self, arguments)  # type: ignore[method-assign]
     try:
         for _ in range(STEPS):
             step(world)
     finally:
-        Kernel.__call__ = kept  # type: ignore[method-assign]
+        Kernel.__call__ = original_call  # type: ignore[method-assign]
     print(f"{len(recorder.told)} kernels, {sum(each['part'] > 0 for each in recorder.told)} by parts")
 
 
@@ -183,8 +183,8 @@ def main() -> None:
     parser.add_argument("--case", default="foraging")
     parser.add_argument("--agents", type=int, default=15_000)
     parser.add_argument("--part", type=int, default=8)
-    asked = parser.parse_args()
-    record(asked.folder, asked.case, asked.agents, asked.part)
+    options = parser.parse_args()
+    record(options.folder, options.case, options.agents, options.part)
 
 
 if __name__ == "__main__":

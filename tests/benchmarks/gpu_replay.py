@@ -51,10 +51,12 @@ class Card:
 
     def get(self, place: int, array: np.ndarray) -> np.ndarray:
         """What lies there, as an array like another."""
-        found = np.empty_like(array)
+        contents = np.empty_like(array)
         if array.nbytes:
-            self.do("cuMemcpyDtoH_v2", ctypes.c_void_p(found.ctypes.data), ctypes.c_uint64(place), ctypes.c_size_t(array.nbytes))
-        return found
+            self.do(
+                "cuMemcpyDtoH_v2", ctypes.c_void_p(contents.ctypes.data), ctypes.c_uint64(place), ctypes.c_size_t(array.nbytes)
+            )
+        return contents
 
     def function(self, ptx: bytes) -> ctypes.c_void_p:
         """The function `run` of a text in PTX, which the driver assembles."""
@@ -70,17 +72,17 @@ class Card:
 
     def run(self, function: ctypes.c_void_p, tables: int, words: int, count: int) -> float:
         """Milliseconds of a call for so many tables, a thread each."""
-        begun, ended, time = ctypes.c_void_p(), ctypes.c_void_p(), ctypes.c_float()
-        for event in (begun, ended):
+        start, end, time = ctypes.c_void_p(), ctypes.c_void_p(), ctypes.c_float()
+        for event in (start, end):
             self.do("cuEventCreate", ctypes.byref(event), 0)
         values = (ctypes.c_uint64(tables), ctypes.c_uint64(8 * words), ctypes.c_uint64(count))
-        given = (ctypes.c_void_p * 3)(*(ctypes.addressof(each) for each in values))
+        pointers = (ctypes.c_void_p * 3)(*(ctypes.addressof(each) for each in values))
         block = min(BLOCK, count)
-        self.do("cuEventRecord", begun, None)
-        self.do("cuLaunchKernel", function, -(-count // block), 1, 1, block, 1, 1, 0, None, given, None)
-        self.do("cuEventRecord", ended, None)
-        self.do("cuEventSynchronize", ended)
-        self.do("cuEventElapsedTime", ctypes.byref(time), begun, ended)
+        self.do("cuEventRecord", start, None)
+        self.do("cuLaunchKernel", function, -(-count // block), 1, 1, block, 1, 1, 0, None, pointers, None)
+        self.do("cuEventRecord", end, None)
+        self.do("cuEventSynchronize", end)
+        self.do("cuEventElapsedTime", ctypes.byref(time), start, end)
         return time.value
 
 
@@ -90,13 +92,13 @@ def replay(folder: Path) -> None:
     print(f"{card.name}\n| kernel | threads | ms | bytes compared | that differ |\n|---|---|---|---|---|")
     for call in json.loads((folder / CALLS).read_text()):
         part = call["part"]
-        kept = dict(np.load(folder / f"{call['name']}.npz", allow_pickle=False))
+        arrays = dict(np.load(folder / f"{call['name']}.npz", allow_pickle=False))
         try:
             function = card.function((folder / f"{call['name']}.ptx").read_bytes() + b"\0")
         except RuntimeError as problem:
             print(f"| {call['name']} | not assembled: {problem} |", flush=True)
             continue
-        words = kept.pop("words")
+        words = arrays.pop("words")
         begin, end = int(words[-2]), int(words[-1])
         starts = range(begin, end, part) if part else [begin]
         tables = np.tile(words, (len(starts), 1))
@@ -104,9 +106,9 @@ def replay(folder: Path) -> None:
             tables[:, -2], tables[:, -1] = starts, [min(at + part, end) for at in starts]
         times = []
         for _ in range(2):  # the first call brings the code there
-            places = {name: card.put(array) for name, array in kept.items() if name.startswith("before")}
+            addresses = {name: card.put(array) for name, array in arrays.items() if name.startswith("before")}
             for word, number, offset in call["places"]:
-                tables[:, word] = places[f"before{number}"] + offset
+                tables[:, word] = addresses[f"before{number}"] + offset
             at = card.put(tables)
             try:
                 times.append(card.run(function, at, len(words), len(starts)))
@@ -114,14 +116,14 @@ def replay(folder: Path) -> None:
                 print(f"| {call['name']} | failed: {problem} |", flush=True)
                 return
         compared = differ = 0
-        for name, place in places.items():
-            after = name.replace("before", "after")
-            expected = kept[after if after in kept else name]
-            found = card.get(place, expected)
-            compared, differ = compared + len(found), differ + int((found != expected).sum())
-        given = card.get(at, tables)[0]
+        for name, place in addresses.items():
+            new_name = name.replace("before", "after")
+            expected = arrays[new_name if new_name in arrays else name]
+            contents = card.get(place, expected)
+            compared, differ = compared + len(contents), differ + int((contents != expected).sum())
+        results = card.get(at, tables)[0]
         compared += len(call["gives"])
-        differ += sum(int(given[k]) != value for k, value in enumerate(call["gives"]))
+        differ += sum(int(results[k]) != value for k, value in enumerate(call["gives"]))
         print(f"| {call['name']} | {len(starts)} | {min(times):.3f} | {compared:,} | {differ} |", flush=True)
 
 

@@ -79,22 +79,22 @@ def _state(n: int, trail: int, states: int) -> str:
 
 def edits(text: str, count: int, seed: int = 1) -> list[tuple[str, int, int, str]]:
     """What somebody does inside blocks, as (kind, line, column, text): digits, names, whole lines typed key by key, mistakes."""
-    rng, made = random.Random(seed), []
+    rng, changes = random.Random(seed), []
     lines = text.split("\n")
-    places = [n for n, line in enumerate(lines) if line.startswith("    when no meal held")]
+    line_numbers = [n for n, line in enumerate(lines) if line.startswith("    when no meal held")]
     typed = "    when speed < 3 mm/s -> s1\n"
-    while len(made) < count:
-        line = rng.choice(places)
+    while len(changes) < count:
+        line = rng.choice(line_numbers)
         kind = rng.choice(("number", "line", "mistake"))
         if kind == "number":
             column = lines[line].index("0.5") + 2
-            made += [("number", line, column, str(rng.randrange(1, 9)))]
+            changes += [("number", line, column, str(rng.randrange(1, 9)))]
         elif kind == "line":
-            made += [("typing", line, column, key) for column, key in enumerate(typed)]
-            made += [("undone", line, -1, "")]
+            changes += [("typing", line, column, key) for column, key in enumerate(typed)]
+            changes += [("undone", line, -1, "")]
         else:
-            made += [("mistake", line, lines[line].index("meal"), "x"), ("mended", line, -2, "")]
-    return made[:count]
+            changes += [("mistake", line, lines[line].index("meal"), "x"), ("mended", line, -2, "")]
+    return changes[:count]
 
 
 async def measured(text: str, count: int, folder: Path) -> dict[str, list[tuple[float, float]]]:
@@ -103,8 +103,8 @@ async def measured(text: str, count: int, folder: Path) -> dict[str, list[tuple[
     from pygls.lsp.client import BaseLanguageClient
 
     client = BaseLanguageClient("measure", "1")
-    told: asyncio.Queue[int | None] = asyncio.Queue()
-    client.feature(lsp.TEXT_DOCUMENT_PUBLISH_DIAGNOSTICS)(lambda params: told.put_nowait(params.version))
+    versions: asyncio.Queue[int | None] = asyncio.Queue()
+    client.feature(lsp.TEXT_DOCUMENT_PUBLISH_DIAGNOSTICS)(lambda params: versions.put_nowait(params.version))
     await client.start_io(sys.executable, "-m", "antdsl", "lsp", env={**_environment()})
     await client.initialize_async(lsp.InitializeParams(lsp.ClientCapabilities(), root_uri=folder.as_uri()))
     client.initialized(lsp.InitializedParams())
@@ -113,22 +113,22 @@ async def measured(text: str, count: int, folder: Path) -> dict[str, list[tuple[
     async def waited(send: Any) -> tuple[float, float]:
         spent, start = _processor(process), time.perf_counter()
         send()
-        while await asyncio.wait_for(told.get(), 60) != version:
+        while await asyncio.wait_for(versions.get(), 60) != version:
             pass
         return time.perf_counter() - start, _processor(process) - spent
 
     item = lsp.TextDocumentItem(uri, "antdsl", 0, text)
-    found = {"open": [await waited(lambda: client.text_document_did_open(lsp.DidOpenTextDocumentParams(item)))]}
+    times_by_kind = {"open": [await waited(lambda: client.text_document_did_open(lsp.DidOpenTextDocumentParams(item)))]}
     for kind, line, column, typed in edits(text, count):
         version += 1
         change = _change(lsp, kind, line, column, typed)
         params = lsp.DidChangeTextDocumentParams(lsp.VersionedTextDocumentIdentifier(version, uri), [change])
-        found.setdefault(kind, []).append(await waited(lambda params=params: client.text_document_did_change(params)))
+        times_by_kind.setdefault(kind, []).append(await waited(lambda params=params: client.text_document_did_change(params)))
         await asyncio.sleep(0.01)
     await client.shutdown_async(None)
     client.exit(None)
     await client.stop()
-    return found
+    return times_by_kind
 
 
 def _change(lsp: Any, kind: str, line: int, column: int, typed: str) -> Any:
@@ -173,14 +173,14 @@ def main() -> None:
         chosen.write.write_text(text, encoding="utf-8")
         return
     with tempfile.TemporaryDirectory() as folder:
-        found = asyncio.run(measured(text, chosen.edits, Path(folder)))
+        times_by_kind = asyncio.run(measured(text, chosen.edits, Path(folder)))
     print(f"{text.count(chr(10))} lines, milliseconds")
     print(f"{'':10} {'times':>5} {'p50':>8} {'p95':>8} {'processor p50':>14} {'p95':>8}")
-    found["all edits"] = [each for kind, times in found.items() if kind != "open" for each in times]
-    for kind, times in found.items():
+    times_by_kind["all edits"] = [each for kind, times in times_by_kind.items() if kind != "open" for each in times]
+    for kind, times in times_by_kind.items():
         clock, spent = [a for a, _ in times], [b for _, b in times]
-        shown = [quantile(values, share) for values in (clock, spent) for share in (0.5, 0.95)]
-        print(f"{kind:10} {len(times):5} {shown[0]:8.1f} {shown[1]:8.1f} {shown[2]:14.1f} {shown[3]:8.1f}")
+        quantiles = [quantile(values, share) for values in (clock, spent) for share in (0.5, 0.95)]
+        print(f"{kind:10} {len(times):5} {quantiles[0]:8.1f} {quantiles[1]:8.1f} {quantiles[2]:14.1f} {quantiles[3]:8.1f}")
 
 
 if __name__ == "__main__":

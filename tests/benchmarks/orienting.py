@@ -58,9 +58,9 @@ def _on_hills(p: Floats) -> Floats:
 
 def _on_box(p: Floats) -> Floats:
     side = np.argmax(np.abs(p), axis=1)
-    found = np.zeros_like(p)
-    found[np.arange(len(p)), side] = np.sign(p[np.arange(len(p)), side])
-    return found
+    normals = np.zeros_like(p)
+    normals[np.arange(len(p)), side] = np.sign(p[np.arange(len(p)), side])
+    return normals
 
 
 @dataclass(frozen=True)
@@ -81,7 +81,7 @@ SHAPES: dict[str, Shape] = {
 
 
 @dataclass(frozen=True)
-class Stood:
+class Tilts:
     """Degrees between bodies and the shape's normal: their median and 99th percentile; degrees by which bodies tilt in a frame,
     their 99th percentile; seconds of processor a step."""
 
@@ -91,17 +91,17 @@ class Stood:
     seconds: float
 
 
-def walking(plan: ir.Plan, shape: Shape, how: str, agents: int, steps: int, warm: int = 24) -> Stood:
+def walking(plan: ir.Plan, shape: Shape, how: str, agents: int, steps: int, warm: int = 24) -> Tilts:
     """A crowd that wanders over a shape."""
     crowd = CrowdData("a", agents, PlaceData(on=("s",)))
     setting = Setting(surfaces={"s": MeshData(*shape.mesh)}, crowds=(crowd,), orient=how, seed=5)
     world = bind(plan, setting, Options(backend="native", wait_for_code=True))
     population, off, turned, seconds = world.populations["a"], [], [], []
     for number in range(warm + steps):
-        ids, before = population.ids.copy(), population.vector("up")
-        begun = time.process_time()
+        ids, previous_up = population.ids.copy(), population.vector("up")
+        start_time = time.process_time()
         step(world)
-        took = time.process_time() - begun
+        took = time.process_time() - start_time
         if number < warm:
             continue
         seconds.append(took)
@@ -110,9 +110,9 @@ def walking(plan: ir.Plan, shape: Shape, how: str, agents: int, steps: int, warm
         normal /= np.linalg.norm(normal, axis=1)[:, None]
         off.append(_degrees(up, normal * np.sign((normal * population.normal).sum(axis=1))[:, None]))
         if np.array_equal(ids, population.ids):
-            turned.append(_degrees(up, before))
+            turned.append(_degrees(up, previous_up))
     every, each = np.concatenate(off), np.concatenate(turned)
-    return Stood(
+    return Tilts(
         float(np.median(every)), float(np.percentile(every, 99)), float(np.percentile(each, 99)), statistics.median(seconds)
     )
 
@@ -125,15 +125,15 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--agents", type=int, default=2000)
     parser.add_argument("--steps", type=int, default=120)
-    asked = parser.parse_args()
+    options = parser.parse_args()
     plan = optimise(plan_of(WANDERING, "ant 1\nworld { surface s }\n"))
     print("| shape | `orient` | off the shape, deg: median | 99 % | tilt a frame, deg: 99 % | CPU ms a step |")
     print("|---|---|---|---|---|---|")
     for name, shape in SHAPES.items():
         for how in ("normal", "turns", "probes"):
-            found = walking(plan, shape, how, asked.agents, asked.steps)
+            tilts = walking(plan, shape, how, options.agents, options.steps)
             print(
-                f"| {name} | {how} | {found.median:.2f} | {found.most:.1f} | {found.restless:.2f} | {1000 * found.seconds:.1f} |",
+                f"| {name} | {how} | {tilts.median:.2f} | {tilts.most:.1f} | {tilts.restless:.2f} | {1000 * tilts.seconds:.1f} |",
                 flush=True,
             )
 

@@ -25,21 +25,21 @@ from antdsl.bench.tables import (
     between,
     from_json,
     full_run_of,
+    list_messages,
     markdown,
     phases,
     ratio_text,
     set_up_of,
-    told,
 )
 from antdsl.runtime.backends import BACKENDS
 
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "benchmarks.md"
-KEPT = Path(__file__).with_suffix(".json")
+RESULTS_FILE = Path(__file__).with_suffix(".json")
 SLOWEST = "reference"  # measured where few agents make few steps
 BESIDE_SLOWEST = {("foraging", 125), ("node", 500)}
-TOLD = ("node", "valley", "valley_of_meshes")
+COMPARED_CASES = ("node", "valley", "valley_of_meshes")
 PHASED = ("foraging", "boids", "tunnel", "anthill")
-Kept = dict[str, dict[str, Any]]
+Measurements = dict[str, dict[str, Any]]
 
 
 def measure(name: str, agents: int | None) -> dict[str, Any]:
@@ -52,24 +52,24 @@ def measure(name: str, agents: int | None) -> dict[str, Any]:
     alone = [measured(Job(name, agents, (each,), turns, steps, 1, bound, full_run)) for each in fast]
     alone += [measured(Job(name, agents, (each,), 3, 1, 1, bound)) for each in slow]
     together = measured(Job(name, agents, tuple(fast), turns, steps)) if len(fast) > 1 else None
-    found = Result(tuple(alone), together)
-    if lines := told(found):
+    result = Result(tuple(alone), together)
+    if lines := list_messages(result):
         raise SystemExit("\n".join(lines))
-    return as_json([found])
+    return as_json([result])
 
 
-def results(kept: Kept) -> list[Result]:
+def results(measurements: Measurements) -> list[Result]:
     """In the order of the cases and their sizes."""
     order = list(CASES)
-    found = [from_json(each)[0] for each in kept.values()]
-    return sorted(found, key=lambda each: (order.index(each.alone[0].job.case), each.alone[0].agents))
+    all_results = [from_json(each)[0] for each in measurements.values()]
+    return sorted(all_results, key=lambda each: (order.index(each.alone[0].job.case), each.alone[0].agents))
 
 
-def steps_table(found: Iterable[Result]) -> str:
+def steps_table(all_results: Iterable[Result]) -> str:
     """The whole step."""
-    heads = ("case", "agents", "backend", "CPU ms", "wall ms", "frames a second", "µs per agent", "of the bound")
+    columns = ("case", "agents", "backend", "CPU ms", "wall ms", "frames a second", "µs per agent", "of the bound")
     rows = []
-    for result in found:
+    for result in all_results:
         for each in result.alone:
             name = backend_of(each)
             cost = each.costs[name]
@@ -83,26 +83,26 @@ def steps_table(found: Iterable[Result]) -> str:
                 f"{1000 * cost.cpu_ms / each.agents:.2f}",
                 ratio_text(each.ratios(name, BOUND)) if BOUND in each.costs else "",
             ])  # fmt: skip
-    return markdown(heads, rows)
+    return markdown(columns, rows)
 
 
-def runs_table(found: Iterable[Result]) -> str:
+def runs_table(all_results: Iterable[Result]) -> str:
     """Full runs, and the bare step beside them."""
-    heads = ("case", "agents", "backend", "CPU ms", "wall ms", "frames a second", "its step", "its feet", "bare step, CPU ms")
+    columns = ("case", "agents", "backend", "CPU ms", "wall ms", "frames a second", "its step", "its feet", "bare step, CPU ms")
     rows = []
-    for result in found:
+    for result in all_results:
         for each in result.alone:
             if each.full_run is not None:
                 name = backend_of(each)
                 rows.append([each.job.case, f"{each.agents:,}", name, *full_run_of(each), f"{each.costs[name].cpu_ms:.2f}"])
-    return markdown(heads, rows)
+    return markdown(columns, rows)
 
 
-def set_up_table(found: Iterable[Result]) -> str:
+def set_up_table(all_results: Iterable[Result]) -> str:
     """Set-up and memory."""
-    heads = ("case", "agents", "backend", *SET_UP, "bytes per agent", "grew by, MiB")
+    columns = ("case", "agents", "backend", *SET_UP, "bytes per agent", "grew by, MiB")
     rows = []
-    for result in found:
+    for result in all_results:
         for each in result.alone:
             rows.append([
                 each.job.case,
@@ -112,59 +112,59 @@ def set_up_table(found: Iterable[Result]) -> str:
                 f"{each.state / each.agents:,.0f}",
                 f"{each.memory / 2**20:,.0f}",
             ])  # fmt: skip
-    return markdown(heads, rows)
+    return markdown(columns, rows)
 
 
-def phase_tables(found: Iterable[Result]) -> str:
+def phase_tables(all_results: Iterable[Result]) -> str:
     """Phases, a table a case and size; phases under a hundredth of the step are left out."""
     parts = []
-    for result in found:
+    for result in all_results:
         if result.alone[0].job.case in PHASED:
-            heads, rows = phases(result)
-            whole = sum(float(row[1]) for row in rows)
-            shown = [row for row in rows if float(row[1]) >= 0.01 * whole]
-            parts.append(f"{result.alone[0].job.case}, {result.alone[0].agents:,} agents:\n\n{markdown(heads, shown)}")
+            columns, rows = phases(result)
+            total = sum(float(row[1]) for row in rows)
+            display_rows = [row for row in rows if float(row[1]) >= 0.01 * total]
+            parts.append(f"{result.alone[0].job.case}, {result.alone[0].agents:,} agents:\n\n{markdown(columns, display_rows)}")
     return "\n".join(parts)
 
 
-def told_table(found: Iterable[Result]) -> str:
+def comparison_table(all_results: Iterable[Result]) -> str:
     """Beside what others have reported."""
     rows = []
-    for result in found:
+    for result in all_results:
         for each in result.alone:
-            if each.job.case in TOLD:
+            if each.job.case in COMPARED_CASES:
                 cost = each.costs[backend_of(each)]
                 rows.append([
-                    CASES[each.job.case].about,
+                    CASES[each.job.case].description,
                     f"{each.agents:,}",
                     backend_of(each),
                     f"{1000 / (1000 * mean(cost.wall)):.3g}",
                     full_run_of(each)[2],
-                    CASES[each.job.case].told,
+                    CASES[each.job.case].published_figures,
                 ])  # fmt: skip
     return markdown(("case", "agents", "backend", "frames a second", "of a full run", "reported"), rows)
 
 
-def operations_table(found: Iterable[Result]) -> str:
+def operations_table(all_results: Iterable[Result]) -> str:
     """Operations per agent."""
     rows = []
-    for result in found:
+    for result in all_results:
         each = result.alone[0]
         if "elements" in each.counts and each.agents <= 15_000:
             rows.append([each.job.case, f"{each.agents:,}", f"{each.nodes:,}", f"{each.counts['elements'] / each.agents:,.0f}"])
     return markdown(("case", "agents", "nodes of the plan", "operations per agent and step"), rows)
 
 
-def beside_table(found: Iterable[Result]) -> str:
+def beside_table(all_results: Iterable[Result]) -> str:
     """Ratios of backends that took turns in one process."""
-    lines = [f"- {one.alone[0].job.case}, {one.alone[0].agents:,} agents: {line}" for one in found for line in between(one)]
+    lines = [f"- {one.alone[0].job.case}, {one.alone[0].agents:,} agents: {line}" for one in all_results for line in between(one)]
     return "\n".join(lines) + "\n" if lines else "Only one backend was measured.\n"
 
 
-def machines(kept: Kept) -> str:
+def machines(measurements: Measurements) -> str:
     """What was measured on."""
     lines = []
-    for each in kept.values():
+    for each in measurements.values():
         words = ", ".join(
             text if name in ("date", "machine", "system") else f"{name} {text}" for name, text in each["machine"].items()
         )
@@ -179,23 +179,23 @@ def put(text: str, name: str, table: str) -> str:
     return text[:start] + "\n" + table + "\n" + text[end:]
 
 
-def write(kept: Kept) -> None:
+def write(measurements: Measurements) -> None:
     """Put all tables into the page."""
-    measured_cases = {name: each for name, each in kept.items() if name != "peers"}
-    found = results(measured_cases)
+    measured_cases = {name: each for name, each in measurements.items() if name != "peers"}
+    all_results = results(measured_cases)
     text = PAGE.read_text(encoding="utf-8")
     tables = {
-        "machine": machines(kept),
-        "runs": runs_table(found),
-        "steps": steps_table(found),
-        "backends": beside_table(found),
-        "set-up": set_up_table(found),
-        "phases": phase_tables(found),
-        "reported": told_table(found),
-        "operations": operations_table(found),
+        "machine": machines(measurements),
+        "runs": runs_table(all_results),
+        "steps": steps_table(all_results),
+        "backends": beside_table(all_results),
+        "set-up": set_up_table(all_results),
+        "phases": phase_tables(all_results),
+        "reported": comparison_table(all_results),
+        "operations": operations_table(all_results),
     }
-    if "peers" in kept:
-        tables["peers"] = markdown(peers.HEADS, kept["peers"]["rows"])
+    if "peers" in measurements:
+        tables["peers"] = markdown(peers.COLUMNS, measurements["peers"]["rows"])
     for name, table in tables.items():
         text = put(text, name, table)
     PAGE.write_text(text, encoding="utf-8")
@@ -208,19 +208,19 @@ def main() -> None:
     parser.add_argument("--agents", type=int, default=None)
     parser.add_argument("--peers", type=Path, default=None)
     parser.add_argument("--write", action="store_true")
-    given = parser.parse_args()
-    kept: Kept = json.loads(KEPT.read_text(encoding="utf-8")) if KEPT.is_file() else {}
-    names = [] if given.write else given.cases or ([] if given.peers else list(CASES))
+    options = parser.parse_args()
+    measurements: Measurements = json.loads(RESULTS_FILE.read_text(encoding="utf-8")) if RESULTS_FILE.is_file() else {}
+    names = [] if options.write else options.cases or ([] if options.peers else list(CASES))
     for name in names:
         for agents in CASES[name].agents or (None,):
-            if given.agents in (None, agents):
-                kept[f"{name} {agents}"] = measure(name, agents)
+            if options.agents in (None, agents):
+                measurements[f"{name} {agents}"] = measure(name, agents)
                 print(name, agents, flush=True)
-                KEPT.write_text(json.dumps(kept) + "\n", encoding="utf-8")
-    if given.peers is not None:
-        kept["peers"] = json.loads(given.peers.read_text(encoding="utf-8"))
-        KEPT.write_text(json.dumps(kept) + "\n", encoding="utf-8")
-    write(kept)
+                RESULTS_FILE.write_text(json.dumps(measurements) + "\n", encoding="utf-8")
+    if options.peers is not None:
+        measurements["peers"] = json.loads(options.peers.read_text(encoding="utf-8"))
+        RESULTS_FILE.write_text(json.dumps(measurements) + "\n", encoding="utf-8")
+    write(measurements)
 
 
 if __name__ == "__main__":

@@ -48,30 +48,30 @@ class Cost:
     step: float
 
 
-def once(scene: Path, steps: int, agents: int | None) -> Cost:
+def measure_scene(scene: Path, steps: int, agents: int | None) -> Cost:
     """What a scene costs in this process."""
     shot, report = open_scene(scene)
     if shot is None:
-        raise SystemExit("\n".join(found.message for found in report.errors))
+        raise SystemExit("\n".join(diagnostic.message for diagnostic in report.errors))
     setting = shot.setting if agents is None else scaled(shot.setting, agents)
-    begun = time.process_time()
+    start_time = time.process_time()
     waits: dict[str, Any] = {"wait_for_code": True} if "wait_for_code" in {each.name for each in fields(Options)} else {}
     world = bind(shot.plan, setting, Options(threads=1, **waits))  # an older tree may have no machine code to wait for
     step(world)
     ready = time.process_time()
     for _ in range(steps):
         step(world)
-    return Cost(ready - begun, (time.process_time() - ready) / steps)
+    return Cost(ready - start_time, (time.process_time() - ready) / steps)
 
 
 def in_tree(tree: Path, scene: str, steps: int, agents: int | None) -> Cost:
     """What a scene of a tree costs in a process that imports the package from that tree."""
     words = [sys.executable, __file__, str(tree), str(tree / scene), "--steps", str(steps), "--once"]
     words += [] if agents is None else ["--agents", str(agents)]
-    done = subprocess.run(words, env={**os.environ, "PYTHONPATH": str(tree)}, cwd=tree, capture_output=True, text=True)
-    if done.returncode:
-        raise SystemExit(f"{tree}: {scene}\n{done.stderr[-2000:]}")
-    return Cost(**json.loads(done.stdout))
+    process = subprocess.run(words, env={**os.environ, "PYTHONPATH": str(tree)}, cwd=tree, capture_output=True, text=True)
+    if process.returncode:
+        raise SystemExit(f"{tree}: {scene}\n{process.stderr[-2000:]}")
+    return Cost(**json.loads(process.stdout))
 
 
 def main() -> None:
@@ -84,22 +84,22 @@ def main() -> None:
     parser.add_argument("--agents", type=int, default=None)
     parser.add_argument("--most", type=float, default=None, help="leave with 1 above this ratio")
     parser.add_argument("--once", action="store_true", help=argparse.SUPPRESS)
-    given = parser.parse_args()
-    if given.once:
-        cost = once(Path(given.scenes[0]), given.steps, given.agents)
+    options = parser.parse_args()
+    if options.once:
+        cost = measure_scene(Path(options.scenes[0]), options.steps, options.agents)
         print(json.dumps({"setup": cost.setup, "step": cost.step}))
         return
-    trees, slower = (given.other.resolve(), ROOT), []
-    for scene in given.scenes:
-        measure = partial(in_tree, scene=scene, steps=given.steps, agents=given.agents)
-        found = ratios.in_turn(lambda tree, measure=measure: measure(trees[tree]), 2, given.pairs)
-        steps = ratios.interval([this.step / other.step for other, this in found])
-        setups = ratios.interval([this.setup / other.setup for other, this in found])
-        milliseconds = 1000 * mean(this.step for _, this in found)
+    trees, slower = (options.other.resolve(), ROOT), []
+    for scene in options.scenes:
+        measure = partial(in_tree, scene=scene, steps=options.steps, agents=options.agents)
+        turns = ratios.in_turn(lambda tree, measure=measure: measure(trees[tree]), 2, options.pairs)
+        steps = ratios.interval([this.step / other.step for other, this in turns])
+        setups = ratios.interval([this.setup / other.setup for other, this in turns])
+        milliseconds = 1000 * mean(this.step for _, this in turns)
         print(f"{scene}: a step {milliseconds:.2f} ms, {steps} of the other tree's; set-up {setups}", flush=True)
-        slower += [scene] if given.most is not None and steps.above(given.most) else []
+        slower += [scene] if options.most is not None and steps.above(options.most) else []
     if slower:
-        raise SystemExit(f"a step takes more than {given.most:g} times as long: {', '.join(slower)}")
+        raise SystemExit(f"a step takes more than {options.most:g} times as long: {', '.join(slower)}")
 
 
 if __name__ == "__main__":

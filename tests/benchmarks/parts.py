@@ -31,9 +31,9 @@ def forty(spread: float) -> Mesh:
     """120,960 faces: parts of 12 mm with their middles at random in a cube of twice `spread` (mm)."""
     rng = np.random.default_rng(1)
     parts = [lump(28, 12.0, number) for number in range(40)]
-    places = np.concatenate([vertices + rng.uniform(-spread, spread, 3) for vertices, _ in parts])
+    points = np.concatenate([vertices + rng.uniform(-spread, spread, 3) for vertices, _ in parts])
     count = len(parts[0][0])
-    return places, np.concatenate([faces + count * number for number, (_, faces) in enumerate(parts)]).astype(np.int32)
+    return points, np.concatenate([faces + count * number for number, (_, faces) in enumerate(parts)]).astype(np.int32)
 
 
 def measured(mesh: Mesh, agents: int) -> tuple[float, float]:
@@ -54,12 +54,12 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--agents", type=int, default=2000)
     parser.add_argument("--spread", type=float, default=30.0)
-    asked = parser.parse_args()
+    options = parser.parse_args()
     measured(forty(8.0), 200)  # what compiles does so here
-    one, many = lump(174, 50.0, 0), forty(asked.spread)
-    whole, parts = measured(one, asked.agents), measured(many, asked.agents)
-    print(f"faces: one {len(one[1]):,}, forty parts {len(many[1]):,}; {asked.agents:,} walkers")
-    for words, a, b in zip(("set-up and first step", "a step"), whole, parts, strict=True):
+    one, many = lump(174, 50.0, 0), forty(options.spread)
+    single, parts = measured(one, options.agents), measured(many, options.agents)
+    print(f"faces: one {len(one[1]):,}, forty parts {len(many[1]):,}; {options.agents:,} walkers")
+    for words, a, b in zip(("set-up and first step", "a step"), single, parts, strict=True):
         print(f"{words:22} one {1e3 * a:9.1f} ms   forty {1e3 * b:9.1f} ms   ratio {b / a:.2f}")
 
 

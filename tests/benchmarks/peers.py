@@ -27,7 +27,7 @@ from typing import NamedTuple
 
 from antdsl.bench.tables import machine, markdown, ratio_text
 
-HERE = Path(__file__).parent / "peers"
+PEERS_FOLDER = Path(__file__).parent / "peers"
 ROOT = Path(__file__).resolve().parents[2]
 SIZES = (1_000, 15_000, 100_000)
 TURNS = 20
@@ -36,7 +36,7 @@ WARM = 3  # turns of each that are not counted: Java compiles while it runs
 AGENT_STEPS = 60_000  # of a turn, as far as STEPS allow
 STEPS = (2, 8)
 SLOW = (1_000, 15_000)  # agents up to which a slow program takes all turns, and two of one step each; beyond it takes none
-HEADS = ("case", "agents", "program", "million agent-steps/s", "neighbours", "antdsl", "neighbours", "its time over antdsl's")
+COLUMNS = ("case", "agents", "program", "million agent-steps/s", "neighbours", "antdsl", "neighbours", "its time over antdsl's")
 ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "RAYON_NUM_THREADS", "NUMBA_NUM_THREADS")
 
 
@@ -45,7 +45,7 @@ class Missing(Exception):
 
 
 @dataclass(frozen=True, slots=True)
-class Given:
+class Installations:
     """Where things are that others wrote: a folder for cargo, a Python with packages, MASON's classes."""
 
     target: Path
@@ -61,39 +61,41 @@ class Peer:
     option: str
     name: str
     case: str
-    words: Callable[[Given], list[str]]
+    words: Callable[[Installations], list[str]]
     slow: bool = False
 
 
-def _cargo(program: str) -> Callable[[Given], list[str]]:
-    def words(given: Given) -> list[str]:
+def _cargo(program: str) -> Callable[[Installations], list[str]]:
+    def words(installations: Installations) -> list[str]:
         cargo = shutil.which("cargo")
         if cargo is None:
             raise Missing("install Rust, whose cargo builds it")
-        environment = {**os.environ, "CARGO_TARGET_DIR": str(given.target)}
-        built = subprocess.run([cargo, "build", "--release", "--locked", "--quiet"], cwd=HERE / "krabmaga", env=environment)
+        environment = {**os.environ, "CARGO_TARGET_DIR": str(installations.target)}
+        built = subprocess.run(
+            [cargo, "build", "--release", "--locked", "--quiet"], cwd=PEERS_FOLDER / "krabmaga", env=environment
+        )
         if built.returncode:
             raise Missing("cargo could not build it")
-        return [str(given.target / "release" / program)]
+        return [str(installations.target / "release" / program)]
 
     return words
 
 
-def _python(program: str, module: str, packages: str) -> Callable[[Given], list[str]]:
-    def words(given: Given) -> list[str]:
-        if subprocess.run([given.python, "-c", f"import {module}"], capture_output=True).returncode:
-            raise Missing(f"`{given.python} -m pip install {packages}`, or name another one with --python")
-        return [given.python, str(HERE / program)]
+def _python(program: str, module: str, packages: str) -> Callable[[Installations], list[str]]:
+    def words(installations: Installations) -> list[str]:
+        if subprocess.run([installations.python, "-c", f"import {module}"], capture_output=True).returncode:
+            raise Missing(f"`{installations.python} -m pip install {packages}`, or name another one with --python")
+        return [installations.python, str(PEERS_FOLDER / program)]
 
     return words
 
 
-def _java(model: str) -> Callable[[Given], list[str]]:
-    def words(given: Given) -> list[str]:
+def _java(model: str) -> Callable[[Installations], list[str]]:
+    def words(installations: Installations) -> list[str]:
         java = shutil.which("java")
-        if java is None or given.mason is None:
+        if java is None or installations.mason is None:
             raise Missing("install Java 17, and name the library's mason.jar (cs.gmu.edu/~eclab/projects/mason) with --mason")
-        return [java, "-XX:+UseSerialGC", "-cp", str(given.mason), str(HERE / "Mason.java"), model]
+        return [java, "-XX:+UseSerialGC", "-cp", str(installations.mason), str(PEERS_FOLDER / "Mason.java"), model]
 
     return words
 
@@ -159,7 +161,7 @@ def compared(case: str, backend: str, agents: int, peers: Sequence[tuple[Peer, l
     steps = max(STEPS[0], min(STEPS[1], AGENT_STEPS // agents))
     turns = min(turns, FEWER) if agents >= LARGE else turns
     with ExitStack() as running:
-        own = [sys.executable, str(HERE / "ours.py"), case, backend, str(agents), str(steps)]
+        own = [sys.executable, str(PEERS_FOLDER / "ours.py"), case, backend, str(agents), str(steps)]
         runners = [running.enter_context(Runner("antdsl", own, turns, own=True))]
         for peer, words in peers:
             few = peer.slow and agents > SLOW[0]
@@ -178,8 +180,8 @@ def compared(case: str, backend: str, agents: int, peers: Sequence[tuple[Peer, l
 def _speed(agents: int, took: Sequence[Took]) -> list[str]:
     """Million agent-steps a second, and neighbours."""
     rate = agents / median(each.step for each in took) / 1e6
-    seen = [each.neighbours for each in took if each.neighbours is not None]
-    return [f"{rate:.2g}" if rate < 0.1 else f"{rate:.2f}", f"{median(seen):.1f}" if seen else ""]
+    neighbour_counts = [each.neighbours for each in took if each.neighbours is not None]
+    return [f"{rate:.2g}" if rate < 0.1 else f"{rate:.2f}", f"{median(neighbour_counts):.1f}" if neighbour_counts else ""]
 
 
 def _ratios(theirs: Sequence[Took], ours: Sequence[Took]) -> list[float]:
@@ -187,23 +189,23 @@ def _ratios(theirs: Sequence[Took], ours: Sequence[Took]) -> list[float]:
     return [their.step / our.step for their, our in zip(theirs, ours, strict=False)]
 
 
-def rows(given: Given, options: Sequence[str], backend: str, turns: int, sizes: Sequence[int]) -> list[list[str]]:
+def rows(installations: Installations, options: Sequence[str], backend: str, turns: int, sizes: Sequence[int]) -> list[list[str]]:
     """A row for each program that is here and each number of agents; what is not here is told."""
     ready: list[tuple[Peer, list[str]]] = []
     for peer in PEERS:
         if peer.option in options:
             try:
-                ready.append((peer, peer.words(given)))
+                ready.append((peer, peer.words(installations)))
             except Missing as why:
                 print(f"without {peer.name} beside `{peer.case}`: {why}", file=sys.stderr)
-    found = []
+    table_rows = []
     for case in dict.fromkeys(peer.case for peer, _ in ready):
         for agents in sizes:
-            some = [(peer, words) for peer, words in ready if peer.case == case and not (peer.slow and agents > SLOW[1])]
-            if some:
-                found += compared(case, backend, agents, some, turns)
-                print(*(" ".join(row) for row in found[-len(some) :]), sep="\n", file=sys.stderr, flush=True)
-    return found
+            runnable = [(peer, words) for peer, words in ready if peer.case == case and not (peer.slow and agents > SLOW[1])]
+            if runnable:
+                table_rows += compared(case, backend, agents, runnable, turns)
+                print(*(" ".join(row) for row in table_rows[-len(runnable) :]), sep="\n", file=sys.stderr, flush=True)
+    return table_rows
 
 
 def main() -> None:
@@ -211,19 +213,19 @@ def main() -> None:
     names = list(dict.fromkeys(peer.option for peer in PEERS))
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("peers", nargs="*", choices=[*names, []], help="all, if none is named")
-    parser.add_argument("--target", type=Path, default=HERE / "krabmaga" / "target")
+    parser.add_argument("--target", type=Path, default=PEERS_FOLDER / "krabmaga" / "target")
     parser.add_argument("--python", default=sys.executable)
     parser.add_argument("--mason", type=Path, default=None)
     parser.add_argument("--backend", default="native")
     parser.add_argument("--turns", type=int, default=TURNS)
     parser.add_argument("--agents", type=int, action="append")
     parser.add_argument("--json", type=Path, default=None)
-    given = parser.parse_args()
-    places = Given(given.target.resolve(), given.python, given.mason)
-    found = rows(places, given.peers or names, given.backend, given.turns, given.agents or SIZES)
-    print(markdown(HEADS, found), end="")
-    if given.json is not None:
-        given.json.write_text(json.dumps({"machine": machine(), "rows": found}) + "\n", encoding="utf-8")
+    options = parser.parse_args()
+    installations = Installations(options.target.resolve(), options.python, options.mason)
+    table_rows = rows(installations, options.peers or names, options.backend, options.turns, options.agents or SIZES)
+    print(markdown(COLUMNS, table_rows), end="")
+    if options.json is not None:
+        options.json.write_text(json.dumps({"machine": machine(), "rows": table_rows}) + "\n", encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -197,12 +197,12 @@ def by_loops(table: ClipTable, playing: Playing, world: Floats) -> None:
 
 def milliseconds(work: Callable[[], object], count: int) -> tuple[float, float]:
     """The least of some runs by the clock and of processor time."""
-    found = []
+    times = []
     for _ in range(count):
         clock, processor = time.perf_counter(), time.process_time()
         work()
-        found.append((1e3 * (time.perf_counter() - clock), 1e3 * (time.process_time() - processor)))
-    return min(each[0] for each in found), min(each[1] for each in found)
+        times.append((1e3 * (time.perf_counter() - clock), 1e3 * (time.process_time() - processor)))
+    return min(each[0] for each in times), min(each[1] for each in times)
 
 
 def measure(agents: int, scales: bool, turns: int) -> None:
@@ -238,18 +238,19 @@ def measure(agents: int, scales: bool, turns: int) -> None:
 def shapes(agents: int) -> None:
     """What deforming a shape of 200 points, each of which follows two joints, takes for all agents."""
     random = np.random.default_rng(3)
-    made = insect(scales=False)
+    definition = insect(scales=False)
     points, normals = random.normal(size=(2, 200, 3)).astype(np.float32)
-    capture = Capture(made.rig.names, random.integers(0, JOINTS, (200, 2)).astype(np.int32), np.full((200, 2), 0.5, np.float32),
+    capture = Capture(
+        definition.rig.names, random.integers(0, JOINTS, (200, 2)).astype(np.int32), np.full((200, 2), 0.5, np.float32),
                       np.tile(np.eye(4), (JOINTS, 1, 1)))  # fmt: skip
     between = {"dq": random.uniform(size=200).astype(np.float32)}
     faces = np.zeros((0, 3), np.int32)
     skin = Shape("skin", points, faces, normals, attributes=between, capture=capture, dual_quaternion_blend="dq")
-    made = replace(made, shapes={"skin": skin})
-    poses = posed(clip_table(made), {}, crowd(agents))
+    definition = replace(definition, shapes={"skin": skin})
+    poses = posed(clip_table(definition), {}, crowd(agents))
     print(f"200 points and normals, two joints each, for {agents} agents: ms")
     for name in ("", *(each for each in DEFORMERS if each != "blendshape")):
-        clock, processor = milliseconds(lambda name=name: bound(made, Binding("j1", "skin", deformer=name), poses), 3)  # type: ignore[misc]
+        clock, processor = milliseconds(lambda name=name: bound(definition, Binding("j1", "skin", deformer=name), poses), 3)  # type: ignore[misc]
         print(f"  {name or 'static':22} {clock:8.1f} by the clock {processor:8.1f} of processors")
 
 
@@ -258,11 +259,11 @@ def main() -> None:
     parser.add_argument("--agents", type=int, default=15_000)
     parser.add_argument("--turns", type=int, default=LEAST_PAIRS)
     parser.add_argument("--shapes", action="store_true")
-    given = parser.parse_args()
+    options = parser.parse_args()
     for scales in (False, True):
-        measure(given.agents, scales, given.turns)
-    if given.shapes:
-        shapes(given.agents)
+        measure(options.agents, scales, options.turns)
+    if options.shapes:
+        shapes(options.agents)
 
 
 if __name__ == "__main__":

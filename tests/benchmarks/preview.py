@@ -74,16 +74,16 @@ def be_a_reader(address: str) -> None:
         client = joined(address)
         until(client, slot="frame")
         print("in", flush=True)
-        gone, count = threading.Event(), [0]
+        stop_event, count = threading.Event(), [0]
 
-        def drain(client: object = client, gone: threading.Event = gone, count: list[int] = count) -> None:
-            while not gone.is_set():
+        def drain(client: object = client, stop_event: threading.Event = stop_event, count: list[int] = count) -> None:
+            while not stop_event.is_set():
                 count[0] += read(client).get("slot") == "frame"  # type: ignore[arg-type]
 
         thread = threading.Thread(target=drain)
         thread.start()
         sys.stdin.readline()
-        gone.set()
+        stop_event.set()
         thread.join()
         client.close()
         print(count[0], flush=True)
@@ -100,7 +100,7 @@ async def measured(scene: Path, threads: int, turns: int, seconds: float) -> tup
     live = Live.open(scene, options=Options(threads=threads))
     listening = listen(None, 0)
     guard = Guard(listening.names)
-    alone, watched, shown = [], [], []
+    alone, watched, frame_counts = [], [], []
     async with Server(live, guard, pages(), listening).running():
         live.session.playing, live.speed = True, 0.0
         live.start()
@@ -113,11 +113,11 @@ async def measured(scene: Path, threads: int, turns: int, seconds: float) -> tup
                 alone.append(await turn(live, seconds))
                 await reader.say("in")
                 watched.append(await turn(live, seconds))
-                shown.append(int(await reader.say("out")))
+                frame_counts.append(int(await reader.say("out")))
         finally:
             reader.end()
             live.stop()
-    return alone, watched, shown
+    return alone, watched, frame_counts
 
 
 def main() -> None:
@@ -127,20 +127,20 @@ def main() -> None:
     parser.add_argument("--threads", type=int, default=2)
     parser.add_argument("--scene", type=Path, default=FORAGING / "many.yaml")
     parser.add_argument("--read", help=argparse.SUPPRESS)
-    asked = parser.parse_args()
-    if asked.read:
-        be_a_reader(asked.read)
+    options = parser.parse_args()
+    if options.read:
+        be_a_reader(options.read)
         return
-    alone, watched, shown = asyncio.run(measured(asked.scene, asked.threads, asked.turns, asked.seconds))
+    alone, watched, frame_counts = asyncio.run(measured(options.scene, options.threads, options.turns, options.seconds))
     ratios = [b.rate / a.rate for a, b in zip(alone, watched, strict=True)]
     work = [a.work / b.work for a, b in zip(alone, watched, strict=True)]
-    print(f"{asked.turns} turns of {asked.seconds:g} s each way, {asked.threads} threads; medians, and the least")
+    print(f"{options.turns} turns of {options.seconds:g} s each way, {options.threads} threads; medians, and the least")
     print("| | frames/s | work for the processor, ms a frame |")
     print("|---|---|---|")
     for name, turns in (("nobody looks on", alone), ("a client reads", watched)):
         print(f"| {name} | {statistics.median(t.rate for t in turns):.1f} | {statistics.median(t.work for t in turns):.1f} |")
     print(f"| of it | {statistics.median(ratios):.3f} ({min(ratios):.3f}) | {statistics.median(work):.3f} ({min(work):.3f}) |")
-    print(f"frames that the client was sent: {statistics.median(n / asked.seconds for n in shown):.1f} a second")
+    print(f"frames that the client was sent: {statistics.median(n / options.seconds for n in frame_counts):.1f} a second")
 
 
 if __name__ == "__main__":

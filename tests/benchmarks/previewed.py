@@ -48,20 +48,20 @@ def joined(address: str) -> ClientConnection:
 
 def header(packet: bytes) -> dict[str, Any]:
     """The header of a binary message."""
-    found: dict[str, Any] = json.loads(packet[8 : 8 + int.from_bytes(packet[4:8], "little")])
-    return found
+    contents: dict[str, Any] = json.loads(packet[8 : 8 + int.from_bytes(packet[4:8], "little")])
+    return contents
 
 
 def read(client: ClientConnection) -> dict[str, Any]:
     """The next message, or the header of the next packet; a packet has a `slot`."""
     message = client.recv(SECONDS)
-    found: dict[str, Any] = json.loads(message) if isinstance(message, str) else header(message)
-    return found
+    contents: dict[str, Any] = json.loads(message) if isinstance(message, str) else header(message)
+    return contents
 
 
-def until(client: ClientConnection, **wanted: Any) -> dict[str, Any]:
+def until(client: ClientConnection, **expected: Any) -> dict[str, Any]:
     """The next message or header that says so."""
     while True:
-        found = read(client)
-        if all(found.get(key) == value for key, value in wanted.items()):
-            return found
+        message = read(client)
+        if all(message.get(key) == value for key, value in expected.items()):
+            return message

@@ -22,8 +22,8 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--steps", type=int, default=60)
     parser.add_argument("--scene", type=Path, default=FORAGING / "many.yaml")
-    asked = parser.parse_args()
-    shot, report = open_scene(asked.scene)
+    arguments = parser.parse_args()
+    shot, report = open_scene(arguments.scene)
     if shot is None:
         sys.exit("\n".join(d.message for d in report.errors))
     print("| threads | a step, ms of work | measured | of it | lines, of their phases | layers, of `blend` |")
@@ -32,7 +32,7 @@ def main() -> None:
         options = Options(threads=threads, wait_for_code=True)
         plain, watched = (bind(shot.plan, shot.setting, options) for _ in range(2))
         meter, alone, measured = Meter(None), [], []
-        for number in range(asked.steps + 8):
+        for number in range(arguments.steps + 8):
             began = process_time()
             step(plain)
             turn = process_time()
@@ -46,9 +46,9 @@ def main() -> None:
                 measured.append(1000 * (process_time() - turn))
         if state_hash(plain) != state_hash(watched):
             sys.exit("a run that was measured is another one")
-        found = meter.profile()
-        lines = sum(line.ms for line in found.lines) / sum(found.phases[name] for name in BLOCKS)
-        layers = sum(layer.ms for layer in found.layers) / found.phases["blend"]
+        profile = meter.profile()
+        lines = sum(line.ms for line in profile.lines) / sum(profile.phases[name] for name in BLOCKS)
+        layers = sum(layer.ms for layer in profile.layers) / profile.phases["blend"]
         one, other = statistics.median(alone), statistics.median(measured)
         print(f"| {threads} | {one:.1f} | {other:.1f} | {other / one:.3f} | {lines:.2f} | {layers:.2f} |")
 

@@ -36,12 +36,16 @@ def band(distance: NDArray[np.floating], sight: float, closing: float) -> Number
 
 def refreshed(frame: int, bands: int, sight: float, closing: float) -> list[tuple[float, float]]:
     """The ranges of distance whose turn it is in a frame, of so many bands, those that touch as one."""
-    found: list[tuple[float, float]] = []
+    intervals: list[tuple[float, float]] = []
     for k in range(1, bands + 1):
         if frame % k == 0:
             low, high = (0.0 if k == 1 else sight + (k - 1) * closing), sight + k * closing
-            found = [*found[:-1], (found[-1][0], high)] if found and found[-1][1] == low else [*found, (low, high)]
-    return found
+            intervals = (
+                [*intervals[:-1], (intervals[-1][0], high)]
+                if intervals and intervals[-1][1] == low
+                else [*intervals, (low, high)]
+            )
+    return intervals
 
 
 @dataclass
@@ -74,8 +78,8 @@ class Refreshes:
         order = np.argsort(wait, kind="stable")
         lasts, starts = np.unique(wait.take(order), return_index=True)
         pairs = pairs.take(order, axis=1)
-        for last, some in zip(lasts.tolist(), np.split(pairs, starts[1:], axis=1), strict=True):
-            self.due.setdefault(frame + last, []).append(some)
+        for last, due_pairs in zip(lasts.tolist(), np.split(pairs, starts[1:], axis=1), strict=True):
+            self.due.setdefault(frame + last, []).append(due_pairs)
         return pairs[:, distance.take(order) <= self.sight]
 
 
@@ -87,13 +91,13 @@ def searched(place: Floats, sight: float) -> Pairs:
 def walked(scene: str, frames: int) -> list[Floats]:
     """Where the roaches of a scene are in each frame, float32 (3, n), in order of ids."""
     shot, report = open_scene(ROACHES / f"{scene}.yaml")
-    assert shot is not None, [found.message for found in report.errors]
+    assert shot is not None, [positions.message for positions in report.errors]
     world = bind(shot.plan, shot.setting, Options(threads=1))
-    roaches, found = world.populations["roach"], []
+    roaches, positions = world.populations["roach"], []
     for _ in range(frames):
-        found.append(np.ascontiguousarray(roaches.position[roaches.in_id_order()].T, np.float32))
+        positions.append(np.ascontiguousarray(roaches.position[roaches.in_id_order()].T, np.float32))
         step(world)
-    return found
+    return positions
 
 
 def keys(one: NDArray[np.integer], two: NDArray[np.integer], agents: int) -> Numbers:
@@ -103,24 +107,24 @@ def keys(one: NDArray[np.integer], two: NDArray[np.integer], agents: int) -> Num
 
 def row(scene: str, frames: int) -> str:
     """A line of the table, in Markdown."""
-    places, sight = walked(scene, frames), SIGHT[scene]
-    agents = places[0].shape[1]
-    stride = max(float(np.sqrt(((b - a) ** 2).sum(axis=0)).max()) for a, b in pairwise(places))
-    searched(places[0], sight)  # whatever is compiled is compiled now
+    positions, sight = walked(scene, frames), SIGHT[scene]
+    agents = positions[0].shape[1]
+    stride = max(float(np.sqrt(((b - a) ** 2).sum(axis=0)).max()) for a, b in pairwise(positions))
+    searched(positions[0], sight)  # whatever is compiled is compiled now
     schedule = Refreshes.of(agents, sight, 2 * stride * 1.0001)
     ours: list[float] = []
     theirs: list[float] = []
-    for frame, place in enumerate(places):
-        begun = time.process_time()
-        seen = schedule.step(frame, place)
+    for frame, place in enumerate(positions):
+        start_time = time.process_time()
+        scheduled_pairs = schedule.step(frame, place)
         between = time.process_time()
-        found = searched(place, sight)
-        theirs.append(1000 * (between - begun))
+        search_pairs = searched(place, sight)
+        theirs.append(1000 * (between - start_time))
         ours.append(1000 * (time.process_time() - between))
-        twice = keys(found.i, found.j, agents)
-        assert np.array_equal(np.repeat(keys(*seen, agents), 2), twice), f"frame {frame}: not the same pairs"
+        twice = keys(search_pairs.i, search_pairs.j, agents)
+        assert np.array_equal(np.repeat(keys(*scheduled_pairs, agents), 2), twice), f"frame {frame}: not the same pairs"
     pairs = agents * (agents - 1) // 2
-    share = (schedule.measured - pairs) / (pairs * (len(places) - 1))
+    share = (schedule.measured - pairs) / (pairs * (len(positions) - 1))
     schedule_ms, search_ms = sum(theirs[1:]) / len(theirs[1:]), sum(ours[1:]) / len(ours[1:])
     return (
         f"| {agents:,} | {pairs:,} | {sight:g} mm | {stride:.1f} mm | {share:.1%} | {schedule_ms:.1f} ({max(theirs[1:]):.1f}) | "
@@ -131,14 +135,14 @@ def row(scene: str, frames: int) -> str:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--frames", type=int, default=120)
-    asked = parser.parse_args()
+    options = parser.parse_args()
     for name, closing in (("one of the two moves", 0.1), ("both move", 0.2)):
         ranges = ", ".join(f"{low:.1f} to {high:.1f}" for low, high in refreshed(6, 6, 1.0, closing))
         print(f"frame 6, {name}: {ranges}")
     print("| roaches | pairs | sight | longest step | measured a frame | schedule, CPU ms (most) | search (median) | ratio |")
     print("|---|---|---|---|---|---|---|---|")
     for scene in SIGHT:
-        print(row(scene, asked.frames), flush=True)
+        print(row(scene, options.frames), flush=True)
 
 
 if __name__ == "__main__":

@@ -63,10 +63,10 @@ def served(scene: Path, program: Path, count: int) -> None:
             while perf_counter() < pause:
                 last = read(client).get("frame", last)
             began = save(program, text)
-            while (told := read(client)).get("op") != "outcome":
-                last = told.get("frame", last)
-            if not told["ok"] or told["line"] == "nothing has changed":
-                sys.exit(f"an edit was not taken: {told}")
+            while (message := read(client)).get("op") != "outcome":
+                last = message.get("frame", last)
+            if not message["ok"] or message["line"] == "nothing has changed":
+                sys.exit(f"an edit was not taken: {message}")
             while until(client, slot="frame")["frame"] <= last:
                 continue
             taken.append(1000 * (perf_counter() - began))
@@ -106,11 +106,11 @@ def main() -> None:
     parser.add_argument("--edits", type=int, default=24)
     parser.add_argument("--scene", default="many.yaml")
     parser.add_argument("--inside", action="store_true")
-    asked = parser.parse_args()
+    options = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
         place = Path(folder, "foraging")
         shutil.copytree(FORAGING, place)
-        (inside if asked.inside else served)(place / asked.scene, place / "forager.ant", asked.edits)
+        (inside if options.inside else served)(place / options.scene, place / "forager.ant", options.edits)
 
 
 if __name__ == "__main__":

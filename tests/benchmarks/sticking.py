@@ -20,8 +20,8 @@ def row(name: str, how: str, walked: Walked) -> str:
     """One line of the table, in Markdown."""
     milliseconds = 1000 * statistics.median(walked.seconds)
     return (
-        f"| {name} | {how} | {milliseconds:.1f} | {walked.seen.away:.1e} | {walked.missed} | {walked.through} | "
-        f"{walked.seen.jump:.2f} |"
+        f"| {name} | {how} | {milliseconds:.1f} | {walked.measures.away:.1e} | {walked.missed} | {walked.through} | "
+        f"{walked.measures.jump:.2f} |"
     )
 
 
@@ -29,14 +29,14 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--agents", type=int, default=5000)
     parser.add_argument("--steps", type=int, default=500)
-    asked = parser.parse_args()
+    options = parser.parse_args()
     print("| shape | `stick` | ms a step | surface error, bodies | met no surface | through a wall | longest step, mm |")
     print("|---|---|---|---|---|---|---|")
     for name in SCENES:
         for how in ("triangles", "rays"):
             mesh = SHAPES.SHAPES[name]()
             long_walk(name, mesh, 10, 2, how == "rays")  # whatever is compiled is compiled now
-            print(row(name, how, long_walk(name, mesh, asked.agents, asked.steps, how == "rays")), flush=True)
+            print(row(name, how, long_walk(name, mesh, options.agents, options.steps, how == "rays")), flush=True)
 
 
 if __name__ == "__main__":

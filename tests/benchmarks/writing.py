@@ -77,10 +77,10 @@ def measured(case: str, agents: int, steps: int, rounds: int, place: Path | None
         recording = begin(shot, folder, options, resume=False, force=False)
         recording.world = bind(shot.plan, shot.setting, options)
         worlds = bind(shot.plan, shot.setting, options), recording.world
-        ways = steps_of(worlds[0]), frames_of(recording)
-        for way, world in zip(ways, worlds, strict=True):
+        steppers = steps_of(worlds[0]), frames_of(recording)
+        for stepper, world in zip(steppers, worlds, strict=True):
             for _ in range(WARM):
-                next(way)
+                next(stepper)
             with_code(world)
         wait_for(folder, worlds[1].frame)
         size = 0 if as_it_is else TIMES * steps * frame_path(folder, worlds[1].frame).stat().st_size
@@ -89,16 +89,16 @@ def measured(case: str, agents: int, steps: int, rounds: int, place: Path | None
             touch(size)
             began = time.process_time()
             for _ in range(steps):
-                frame = next(ways[number])
+                frame = next(steppers[number])
             if number:
                 wait_for(folder, frame)
             return (time.process_time() - began) / steps
 
-        found = in_turn(turn, 2, rounds)
+        turns = in_turn(turn, 2, rounds)
         recording.stop = True
-        for _ in ways[1]:
+        for _ in steppers[1]:
             pass
-    return [(without, written) for without, written in found]
+    return [(without, written) for without, written in turns]
 
 
 def main() -> None:
@@ -109,13 +109,13 @@ def main() -> None:
     parser.add_argument("--rounds", type=int, default=10)
     parser.add_argument("--folder", type=Path)
     parser.add_argument("--memory-as-it-is", action="store_true")
-    given = parser.parse_args()
-    for agents in given.agents:
-        found = measured(given.case, agents, given.steps, given.rounds, given.folder, as_it_is=given.memory_as_it_is)
-        plain, written = (1000 * fmean(turn[k] for turn in found) for k in (0, 1))
-        ratio = interval([with_cache / without for without, with_cache in found])
+    options = parser.parse_args()
+    for agents in options.agents:
+        turns = measured(options.case, agents, options.steps, options.rounds, options.folder, as_it_is=options.memory_as_it_is)
+        plain, written = (1000 * fmean(turn[k] for turn in turns) for k in (0, 1))
+        ratio = interval([with_cache / without for without, with_cache in turns])
         print(
-            f"{given.case}, {agents:,} agents: a step {plain:.2f} ms, with its frame written {written:.2f}, "
+            f"{options.case}, {agents:,} agents: a step {plain:.2f} ms, with its frame written {written:.2f}, "
             f"{written - plain:.2f} more; ratio {ratio}",
             flush=True,
         )

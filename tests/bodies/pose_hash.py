@@ -37,22 +37,22 @@ def main() -> None:
                  capture=capture, blend=Blend(("other",), ("jaw",)), dual_quaternion_blend="dq")  # fmt: skip
     shapes = {"skin": skin, "other": Shape("other", others, skin.faces, normals[::-1])}
     rig = Rig(names, np.array([-1, *(random.integers(0, k) for k in range(1, JOINTS))], np.int32), rest, (Channel("jaw"),))
-    made = Definition("made", rig, shapes, clips=clips, groups={"some": TransformGroup("some", (("j2", 0.5), ("j3", 1.0)))})
+    definition = Definition("made", rig, shapes, clips=clips, groups={"some": TransformGroup("some", (("j2", 0.5), ("j3", 1.0)))})
     tree = ClipTree((1, 1, 2), ("", "some", ""), (ADDITIVE, INTERPOLATE, INTERPOLATE), (-1, 0, 0))
     times = random.integers(-500, 500, (AGENTS, 3)) / 256
     playing = Playing.alike(
         tree, random.integers(-1, 2, (AGENTS, 3)).astype(np.int32), times, np.abs(numbers(AGENTS, 3)).astype(np.float32)
     )
-    poses = posed(clip_table(made), made.groups, playing, local=True)
-    found = hashlib.sha256()
+    poses = posed(clip_table(definition), definition.groups, playing, local=True)
+    digest = hashlib.sha256()
     for array in (poses.world, poses.local, poses.channels):
         assert array is not None and np.isfinite(array).all()
-        found.update(array.tobytes())
+        digest.update(array.tobytes())
     for binding in (Binding("j4", "skin"), Binding("", "skin", deformer="blendshape+dualquatblendskinning")):
-        deformed = bound(made, binding, poses)
+        deformed = bound(definition, binding, poses)
         assert deformed.normals is not None and np.isfinite(deformed.points).all()
-        found.update(deformed.points.tobytes() + deformed.normals.tobytes())
-    print(found.hexdigest())
+        digest.update(deformed.points.tobytes() + deformed.normals.tobytes())
+    print(digest.hexdigest())
 
 
 if __name__ == "__main__":

@@ -28,10 +28,10 @@ def matrix(translation: Sequence[float] = (0, 0, 0), rotation: Sequence[float] =
         [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
     ])  # fmt: skip
     h = np.array([[1, shear[0], shear[1]], [0, 1, shear[2]], [0, 0, 1]])
-    found = np.eye(4)
-    found[:3, :3] = r @ h @ np.diag(scale)
-    found[:3, 3] = translation
-    return found
+    result = np.eye(4)
+    result[:3, :3] = r @ h @ np.diag(scale)
+    result[:3, 3] = translation
+    return result
 
 
 def still(name: str, joints: dict[str, dict[str, Sequence[float]]], channels: dict[str, float] | None = None) -> Clip:

@@ -35,9 +35,9 @@ BODY = Definition("body", RIG, SHAPES, LAYERS)
 
 def poses(count: int, seed: int = 0) -> np.ndarray:
     """World matrices of joints that turn, stretch, shear and mirror."""
-    found = np.random.default_rng(seed).normal(size=(count, 3, 4, 4))
-    found[..., 3, :] = (0, 0, 0, 1)
-    return found
+    matrices = np.random.default_rng(seed).normal(size=(count, 3, 4, 4))
+    matrices[..., 3, :] = (0, 0, 0, 1)
+    return matrices
 
 
 def boxed(points: np.ndarray) -> tuple[list[float], list[float]]:
@@ -50,8 +50,8 @@ def test_a_static_shapes_box_is_scaled_and_then_turned_by_its_joint() -> None:
         least, most = layer_boxes(BODY, worlds, [name])
         corners = (BLOCK - BLOCK.mean(axis=0)) * scale + BLOCK.mean(axis=0)
         for agent in range(50):
-            wanted = boxed(corners @ worlds[agent, 2, :3, :3].T + worlds[agent, 2, :3, 3])
-            assert least[agent] == pytest.approx(wanted[0]) and most[agent] == pytest.approx(wanted[1])
+            expected_box = boxed(corners @ worlds[agent, 2, :3, :3].T + worlds[agent, 2, :3, 3])
+            assert least[agent] == pytest.approx(expected_box[0]) and most[agent] == pytest.approx(expected_box[1])
 
 
 def test_a_deforming_shapes_box_is_that_of_the_joints_it_follows() -> None:
@@ -59,8 +59,8 @@ def test_a_deforming_shapes_box_is_that_of_the_joints_it_follows() -> None:
     least, most = layer_boxes(BODY, worlds, ["skin"])
     for agent in range(20):
         low, high = np.array(boxed(worlds[agent, 1:, :3, 3]))
-        more = (high - low) / 2 * (0, 1, 0)
-        assert least[agent] == pytest.approx(low - more) and most[agent] == pytest.approx(high + more)
+        margin = (high - low) / 2 * (0, 1, 0)
+        assert least[agent] == pytest.approx(low - margin) and most[agent] == pytest.approx(high + margin)
 
 
 def test_a_blend_shapes_box_holds_all_that_it_may_be_blended_with() -> None:
@@ -78,8 +78,8 @@ def test_a_deforming_shape_of_a_single_joint_moves_with_it_as_a_static_one() -> 
     corners = (BLOCK - BLOCK.mean(axis=0)) * (1, 2, 1) + BLOCK.mean(axis=0)
     for agent in range(9):
         matrix = worlds[agent, 2] @ inverse[2]
-        wanted = boxed(corners @ matrix[:3, :3].T + matrix[:3, 3])
-        assert least[agent] == pytest.approx(wanted[0]) and most[agent] == pytest.approx(wanted[1])
+        expected_box = boxed(corners @ matrix[:3, :3].T + matrix[:3, 3])
+        assert least[agent] == pytest.approx(expected_box[0]) and most[agent] == pytest.approx(expected_box[1])
 
 
 def test_collision_layers_go_first_and_several_layers_are_put_together() -> None:
@@ -107,7 +107,7 @@ def test_agents_do_not_depend_on_each_other_and_float32_stays_so() -> None:
     assert np.abs(exact[0] - least).max() < 1e-5
 
 
-def test_nobody_and_unknown_layers() -> None:
+def test_no_agents_and_unknown_layers() -> None:
     assert layer_boxes(BODY, poses(0), ["plain"])[0].shape == (0, 3)
     with pytest.raises(KeyError):
         layer_boxes(BODY, poses(1), ["hat"])

@@ -15,7 +15,7 @@ from antdsl.bodies.agents.definition import Channel, Clip, TransformGroup
 from antdsl.bodies.agents.poses import Poses, clip_table
 
 REST = matrix((0, 5, 0), turn("z", 0), (1, 1, 1))
-MADE = definition(
+BODY = definition(
     {"body": "", "arm": "body"},
     still("low", {"body": {"t": (0, 0, 0)}, "arm": {"t": (0, 0, 0), "s": (2, 2, 2)}}, {"jaw": 0.0}),
     still("high", {"body": {"t": (8, 0, 0)}, "arm": {"t": (8, 0, 0), "r": turn("z", 90)}}, {"jaw": 1.0, "brow": 1.0}),
@@ -37,43 +37,43 @@ def one(tree: ClipTree, clips: Sequence[int], weights: Sequence[float], layers: 
         tree, np.array([clips], np.int32), np.zeros((1, len(clips))), np.array([weights], np.float32),
         None if layers is None else np.array([layers], np.float32),
     )  # fmt: skip
-    return posed(clip_table(MADE), GROUPS, playing, local=True)
+    return posed(clip_table(BODY), GROUPS, playing, local=True)
 
 
-def place(found: Poses, joint: int) -> list[float]:
-    assert found.local is not None
-    return [round(float(k), 5) for k in found.local[0, joint, :, 3]]
+def place(poses: Poses, joint: int) -> list[float]:
+    assert poses.local is not None
+    return [round(float(k), 5) for k in poses.local[0, joint, :, 3]]
 
 
-def linear_part(found: Poses, joint: int) -> np.ndarray:
-    assert found.local is not None
-    return found.local[0, joint, :, :3]
+def linear_part(poses: Poses, joint: int) -> np.ndarray:
+    assert poses.local is not None
+    return poses.local[0, joint, :, :3]
 
 
 def test_weights_are_normalised() -> None:
-    found = one(ClipTree.flat(2), [LOW, HIGH], [1, 3])
-    assert place(found, 0) == [6, 0, 0]
-    assert place(found, 1) == [6, 0, 0]
-    assert found.channels[0].tolist() == [0.75, 0.8125]  # a clip without a channel counts with its default
+    poses = one(ClipTree.flat(2), [LOW, HIGH], [1, 3])
+    assert place(poses, 0) == [6, 0, 0]
+    assert place(poses, 1) == [6, 0, 0]
+    assert poses.channels[0].tolist() == [0.75, 0.8125]  # a clip without a channel counts with its default
     again = one(ClipTree.flat(2), [LOW, HIGH], [10, 30])
-    assert np.allclose(found.world, again.world, atol=1e-6)
+    assert np.allclose(poses.world, again.world, atol=1e-6)
 
 
 def test_half_of_a_quarter_turn_is_an_eighth_and_scales_are_linear() -> None:
-    found = linear_part(one(ClipTree.flat(2), [LOW, HIGH], [1, 1]), 1)
-    assert np.allclose(found, matrix(rotation=turn("z", 45), scale=(1.5, 1.5, 1.5))[:3, :3], atol=1e-6)
+    linear = linear_part(one(ClipTree.flat(2), [LOW, HIGH], [1, 1]), 1)
+    assert np.allclose(linear, matrix(rotation=turn("z", 45), scale=(1.5, 1.5, 1.5))[:3, :3], atol=1e-6)
 
 
 def test_a_clip_counts_by_its_weight_times_that_of_its_group_at_each_joint() -> None:
-    found = one(ClipTree.flat(2, "", "half"), [LOW, HIGH], [1, 1])
-    assert place(found, 0) == [0, 0, 0]  # not in the group
-    assert place(found, 1) == [round(8 * 0.5 / 1.5, 5), 0, 0]
-    assert found.channels[0].tolist() == [0.5, 0.25]  # the jaw is in the group, the brow is not
+    poses = one(ClipTree.flat(2, "", "half"), [LOW, HIGH], [1, 1])
+    assert place(poses, 0) == [0, 0, 0]  # not in the group
+    assert place(poses, 1) == [round(8 * 0.5 / 1.5, 5), 0, 0]
+    assert poses.channels[0].tolist() == [0.5, 0.25]  # the jaw is in the group, the brow is not
 
 
 def test_what_no_input_says_anything_about_is_at_rest() -> None:
-    nobody = one(ClipTree.flat(2), [LOW, HIGH], [0, 0])
-    assert place(nobody, 1) == [0, 5, 0] and nobody.channels[0].tolist() == [0, 0.25]
+    poses = one(ClipTree.flat(2), [LOW, HIGH], [0, 0])
+    assert place(poses, 1) == [0, 5, 0] and poses.channels[0].tolist() == [0, 0.25]
     assert place(one(ClipTree.flat(1, "arm"), [HIGH], [1]), 0) == [0, 0, 0]
     assert place(one(ClipTree.flat(2), [LOW, -1], [1, 3]), 1) == [0, 0, 0]  # no clip has no weight
     assert place(one(ClipTree.flat(1), [-1], [1]), 1) == [0, 5, 0]
@@ -82,8 +82,8 @@ def test_what_no_input_says_anything_about_is_at_rest() -> None:
 
 def test_weights_below_zero_or_no_number_count_as_none_and_huge_ones_as_large() -> None:
     for odd in (-1.0, np.nan, -np.inf, 1e-44):
-        found = one(ClipTree.flat(2), [LOW, HIGH], [1, odd])
-        assert place(found, 1) == [0, 0, 0]
+        poses = one(ClipTree.flat(2), [LOW, HIGH], [1, odd])
+        assert place(poses, 1) == [0, 0, 0]
     assert place(one(ClipTree.flat(2), [LOW, HIGH], [3e38, np.inf]), 1) == [4, 0, 0]
     assert place(one(ClipTree.flat(1), [HIGH], [1e-44]), 1) in ([8, 0, 0], [0, 5, 0])
 
@@ -91,11 +91,11 @@ def test_weights_below_zero_or_no_number_count_as_none_and_huge_ones_as_large() 
 def test_a_layer_is_an_input_where_its_groups_are_and_the_topmost_weight_is_unused() -> None:
     """Walking with the whole body, and a layer of two clips for the arm alone that weighs three times as much."""
     tree = ClipTree((0, 1, 1), ("", "arm", "arm"), (INTERPOLATE, INTERPOLATE), (-1, 0))
-    found = one(tree, [LOW, HIGH, LOW], [1, 3, 1], [1, 3])
-    assert place(found, 0) == [0, 0, 0]  # the layer says nothing of the body
-    assert place(found, 1) == [0.75 * 6, 0, 0]
+    poses = one(tree, [LOW, HIGH, LOW], [1, 3, 1], [1, 3])
+    assert place(poses, 0) == [0, 0, 0]  # the layer says nothing of the body
+    assert place(poses, 1) == [0.75 * 6, 0, 0]
     for topmost in (0.0, 7.0, np.nan):
-        assert one(tree, [LOW, HIGH, LOW], [1, 3, 1], [topmost, 3]).world.tobytes() == found.world.tobytes()
+        assert one(tree, [LOW, HIGH, LOW], [1, 3, 1], [topmost, 3]).world.tobytes() == poses.world.tobytes()
     assert place(one(tree, [LOW, HIGH, LOW], [1, 3, 1], [1, 0]), 1) == [0, 0, 0]
 
 
@@ -109,81 +109,81 @@ def test_a_layer_with_one_input_is_as_that_input() -> None:
 
 def test_a_layer_of_several_inputs_is_there_as_much_as_their_groups_are_on_average() -> None:
     tree = ClipTree((0, 1, 1), ("", "half", "half"), (INTERPOLATE, INTERPOLATE), (-1, 0))
-    found = one(tree, [LOW, HIGH, HIGH], [1, 2, 5], [1, 1])
-    assert place(found, 1) == [round(8 * 0.5 / 1.5, 5), 0, 0]
+    poses = one(tree, [LOW, HIGH, HIGH], [1, 2, 5], [1, 1])
+    assert place(poses, 1) == [round(8 * 0.5 / 1.5, 5), 0, 0]
     mixed = one(ClipTree((0, 1, 1), ("", "half", ""), (0, 0), (-1, 0)), [LOW, HIGH, HIGH], [1, 3, 1], [1, 1])
-    there = (3 * 0.5 + 1 * 1) / 4
-    assert place(mixed, 1) == [round(8 * there / (1 + there), 5), 0, 0]
+    share = (3 * 0.5 + 1 * 1) / 4
+    assert place(mixed, 1) == [round(8 * share / (1 + share), 5), 0, 0]
     assert place(mixed, 0) == [round(8 * 0.25 / 1.25, 5), 0, 0]
 
 
 def test_an_additive_layer_is_there_where_its_first_input_is_and_as_much_as_others_add() -> None:
     tree = ClipTree((0, 1, 1), ("", "arm", "body"), (INTERPOLATE, ADDITIVE), (-1, 0))
-    found = one(tree, [LOW, HIGH, HIGH], [1, 1, 0.5], [1, 1])
-    assert place(found, 1) == [4, 0, 0]  # half of the first input
-    assert place(found, 0) == [round(4 * 0.5 / 1.5, 5), 0, 0]  # the rest pose's 0 and half of 8, there by a half
+    poses = one(tree, [LOW, HIGH, HIGH], [1, 1, 0.5], [1, 1])
+    assert place(poses, 1) == [4, 0, 0]  # half of the first input
+    assert place(poses, 0) == [round(4 * 0.5 / 1.5, 5), 0, 0]  # the rest pose's 0 and half of 8, there by a half
 
 
 def test_additive_layers_take_the_first_whole_and_a_share_of_what_others_differ_from_rest() -> None:
     tree = ClipTree((0, 0), ("", ""), (ADDITIVE,), (-1,))
-    found = one(tree, [HIGH, NOD], [0.2, 0.5])
-    assert place(found, 0) == [8, 0, 0]  # `nod` does not have the body, which adds nothing
-    assert place(found, 1) == [8, 1, 0]  # half of 7 less the rest's 5
-    wanted = matrix(rotation=turn("x", 30))[:3, :3] @ matrix(rotation=turn("z", 90))[:3, :3]  # turned on the parent's side
-    assert np.allclose(linear_part(found, 1), wanted, atol=1e-6)
-    assert found.channels[0].tolist() == [1.25, 1.0]
+    poses = one(tree, [HIGH, NOD], [0.2, 0.5])
+    assert place(poses, 0) == [8, 0, 0]  # `nod` does not have the body, which adds nothing
+    assert place(poses, 1) == [8, 1, 0]  # half of 7 less the rest's 5
+    expected = matrix(rotation=turn("x", 30))[:3, :3] @ matrix(rotation=turn("z", 90))[:3, :3]  # turned on the parent's side
+    assert np.allclose(linear_part(poses, 1), expected, atol=1e-6)
+    assert poses.channels[0].tolist() == [1.25, 1.0]
 
 
 def test_additive_layers_keep_the_scale_of_the_first_and_do_not_normalise() -> None:
     tree = ClipTree((0, 0, 0), ("", "half", ""), (ADDITIVE,), (-1,))
-    found = one(tree, [LOW, NOD, NOD], [1, 1, 1])
-    assert place(found, 1) == [0, 0.5 * 2 + 2, 0]
-    assert np.allclose(linear_part(found, 1), 2 * matrix(rotation=turn("x", 90))[:3, :3], atol=1e-6)
+    poses = one(tree, [LOW, NOD, NOD], [1, 1, 1])
+    assert place(poses, 1) == [0, 0.5 * 2 + 2, 0]
+    assert np.allclose(linear_part(poses, 1), 2 * matrix(rotation=turn("x", 90))[:3, :3], atol=1e-6)
     assert place(one(tree, [LOW, NOD, NOD], [1, 0, 0]), 1) == [0, 0, 0]
 
 
 def test_the_first_input_of_an_additive_layer_may_be_a_layer() -> None:
     """A blend of two clips, and a layer of one clip that is added to it."""
     tree = ClipTree((1, 1, 2), ("", "", "arm"), (ADDITIVE, INTERPOLATE, INTERPOLATE), (-1, 0, 0))
-    found = one(tree, [LOW, HIGH, NOD], [1, 1, 1], [1, 1, 0.5])
-    assert place(found, 0) == [4, 0, 0]
-    assert place(found, 1) == [4, 1, 0]
-    wanted = matrix(rotation=turn("x", 30))[:3, :3] @ matrix(rotation=turn("z", 45), scale=(1.5, 1.5, 1.5))[:3, :3]
-    assert np.allclose(linear_part(found, 1), wanted, atol=1e-6)
+    poses = one(tree, [LOW, HIGH, NOD], [1, 1, 1], [1, 1, 0.5])
+    assert place(poses, 0) == [4, 0, 0]
+    assert place(poses, 1) == [4, 1, 0]
+    expected = matrix(rotation=turn("x", 30))[:3, :3] @ matrix(rotation=turn("z", 45), scale=(1.5, 1.5, 1.5))[:3, :3]
+    assert np.allclose(linear_part(poses, 1), expected, atol=1e-6)
 
 
 def test_an_added_rotation_is_measured_from_the_rest_pose() -> None:
     clips = still("base", {"a": {"r": turn("y", 20)}}), still("look", {"a": {"r": turn("z", 75)}})
-    made = definition({"a": ""}, *clips, rest={"a": matrix(rotation=turn("x", 30))})
+    body = definition({"a": ""}, *clips, rest={"a": matrix(rotation=turn("x", 30))})
     playing = Playing.alike(
         ClipTree((0, 0), ("", ""), (ADDITIVE,), (-1,)),
         np.array([[0, 1]], np.int32),
         np.zeros((1, 2)),
         np.ones((1, 2), np.float32),
     )
-    found = posed(clip_table(made), {}, playing)
+    poses = posed(clip_table(body), {}, playing)
     added = matrix(rotation=turn("z", 75))[:3, :3] @ matrix(rotation=turn("x", -30))[:3, :3]
-    wanted = added @ matrix(rotation=turn("y", 20))[:3, :3]
-    assert np.allclose(found.world[0, 0, :, :3], wanted, atol=1e-6)
+    expected = added @ matrix(rotation=turn("y", 20))[:3, :3]
+    assert np.allclose(poses.world[0, 0, :, :3], expected, atol=1e-6)
 
 
 def test_a_share_of_an_added_rotation_goes_the_shorter_way() -> None:
     """A clip that has gone round by 340 degrees is 20 degrees before the rest pose: half of that is 10."""
     rotation = np.array([[turn("z", 0)], [turn("z", 170)], [turn("z", 340)]], np.float32)
     round_it = Clip("round", 1.0, ("a",), np.zeros((3, 1, 3), np.float32), rotation, np.ones((3, 1, 3), np.float32), loop=False)
-    made = definition({"a": ""}, still("base", {"a": {}}), round_it)
+    body = definition({"a": ""}, still("base", {"a": {}}), round_it)
     tree = ClipTree((0, 0), ("", ""), (ADDITIVE,), (-1,))
     playing = Playing.alike(tree, np.array([[0, 1]], np.int32), np.array([[0.0, 2.0]]), np.array([[1, 0.5]], np.float32))
-    found = posed(clip_table(made), {}, playing)
-    assert np.allclose(found.world[0, 0, :, :3], matrix(rotation=turn("z", -10))[:3, :3], atol=1e-6)
+    poses = posed(clip_table(body), {}, playing)
+    assert np.allclose(poses.world[0, 0, :, :3], matrix(rotation=turn("z", -10))[:3, :3], atol=1e-6)
 
 
 def test_three_rotations_are_blended_on_one_side_whatever_their_signs() -> None:
-    made = definition({"a": ""}, *(still(name, {"a": {"r": r}}) for name, r in (
+    body = definition({"a": ""}, *(still(name, {"a": {"r": r}}) for name, r in (
         ("a", turn("x", 170)), ("b", [-k for k in turn("x", 200)]), ("c", turn("x", 185)))))  # fmt: skip
     playing = Playing.alike(ClipTree.flat(3), np.array([[0, 1, 2]], np.int32), np.zeros((1, 3)), np.ones((1, 3), np.float32))
     assert np.allclose(
-        posed(clip_table(made), {}, playing).world[0, 0, :, :3], matrix(rotation=turn("x", 185))[:3, :3], atol=1e-6
+        posed(clip_table(body), {}, playing).world[0, 0, :, :3], matrix(rotation=turn("x", 185))[:3, :3], atol=1e-6
     )
 
 
@@ -225,20 +225,20 @@ def test_agents_of_different_trees_are_each_as_alone() -> None:
         trees, np.array([row[0] for row in rows], np.int32), np.array([row[1] for row in rows], np.int32), np.zeros((4, 2)),
         np.array([row[2] for row in rows], np.float32), np.array([row[3] for row in rows], np.float32),
     )  # fmt: skip
-    found = posed(clip_table(MADE), GROUPS, playing)
+    poses = posed(clip_table(BODY), GROUPS, playing)
     for k, (tree, clips, weights, layers) in enumerate(rows):
         count = len(trees[tree].layers)
         alone = one(trees[tree], clips[:count], weights[:count], layers[: len(trees[tree].modes)])
-        assert alone.world[0].tobytes() == found.world[k].tobytes()
+        assert alone.world[0].tobytes() == poses.world[k].tobytes()
     with pytest.raises(ValueError, match=r"`weights` of 4 agents is \(4, 1\) where \[4, 2 or more\] is needed"):
-        posed(clip_table(MADE), GROUPS, replace(playing, weights=playing.weights[:, :1]))
+        posed(clip_table(BODY), GROUPS, replace(playing, weights=playing.weights[:, :1]))
     with pytest.raises(IndexError, match="trees are numbered from 0 to 2"):
-        posed(clip_table(MADE), GROUPS, replace(playing, tree=np.array([0, 1, 2, 3], np.int32)))
+        posed(clip_table(BODY), GROUPS, replace(playing, tree=np.array([0, 1, 2, 3], np.int32)))
 
 
 def test_lists_of_each_agent_become_arrays_and_trees_that_are_shared() -> None:
     """The second and the fourth agent have two layers; the third plays nothing."""
-    table = clip_table(MADE)
+    table = clip_table(BODY)
     counts, layer_counts = np.array([2, 2, 0, 2]), np.array([1, 2, 1, 2])
     playing = playing_of(
         table, counts, np.array(["low", "high", "low", "high", "high", "nod"]), np.zeros(6), np.array([1, 3, 1, 2, 1, 1]),
@@ -246,16 +246,16 @@ def test_lists_of_each_agent_become_arrays_and_trees_that_are_shared() -> None:
         layer_counts, np.array([0, 0, 0, 0, 0, 0]), np.array([1, 1, 3, 1, 1, 1]), np.array([-1, -1, 0, -1, -1, 0]),
     )  # fmt: skip
     assert len(playing.trees) == 3 and playing.tree[1] == playing.tree[3]
-    found = posed(table, GROUPS, playing, local=True)
-    assert found.local is not None and found.local[:, 1, 0, 3].tolist() == [6, 6, 0, 4]
-    assert found.local[:, 0, 0, 3].tolist() == [6, 0, 0, 8]
+    poses = posed(table, GROUPS, playing, local=True)
+    assert poses.local is not None and poses.local[:, 1, 0, 3].tolist() == [6, 6, 0, 4]
+    assert poses.local[:, 0, 0, 3].tolist() == [6, 0, 0, 8]
     plain = playing_of(table, np.array([2, 1]), np.array(["low", "high", "nod"]), np.zeros(3), np.array([1, 3, 1]))
     assert sorted(len(tree.layers) for tree in plain.trees) == [1, 2]
-    assert posed(table, GROUPS, plain).world[0].tobytes() == found.world[0].tobytes()
+    assert posed(table, GROUPS, plain).world[0].tobytes() == poses.world[0].tobytes()
 
 
 def test_lists_that_do_not_fit_are_refused_by_the_agent() -> None:
-    table, two = clip_table(MADE), np.array([1, 1])
+    table, two = clip_table(BODY), np.array([1, 1])
     names, zeros = np.array(["low", "high"]), np.zeros(2)
     with pytest.raises(KeyError, match="fly"):
         playing_of(table, two, np.array(["low", "fly"]), zeros, zeros)

@@ -31,8 +31,8 @@ def script(name):
 
 @pytest.mark.parametrize("name", sorted(BODY_WORDS))
 def test_bodies_face_outwards_and_stand_on_the_ground(name):
-    made = library_body(name)
-    for shape in made.shapes.values():
+    body = library_body(name)
+    for shape in body.shapes.values():
         assert volume(shape.points, shape.faces) > 1e-4
         assert shape.name == "crumb" or abs(shape.points[:, 1].min()) < 0.07
 
@@ -87,9 +87,9 @@ def test_colours_have_names():
 )
 def test_the_examples_geometry_is_what_its_script_makes(example, function, file):
     vertices, faces = getattr(script(example), function)()
-    kept = trimesh.load(EXAMPLES / example / file, process=False)
-    assert np.array_equal(kept.faces, faces)
-    assert np.abs(np.asarray(kept.vertices) - vertices).max() < 2e-3
+    stored_mesh = trimesh.load(EXAMPLES / example / file, process=False)
+    assert np.array_equal(stored_mesh.faces, faces)
+    assert np.abs(np.asarray(stored_mesh.vertices) - vertices).max() < 2e-3
 
 
 def test_the_foraging_ground_has_relief_and_a_shelf_that_overhangs():
@@ -105,7 +105,7 @@ def test_the_foraging_ground_has_relief_and_a_shelf_that_overhangs():
 @pytest.mark.parametrize("name", ["ant", "arrow", "ball"])
 def test_the_room_that_a_body_takes_is_that_of_its_mesh(name: str) -> None:
     """The capsule is as long and wide as what is drawn of the trunk."""
-    room, drawn = CAPSULES[name], library_body(name).shapes[name]
+    capsule, drawn = CAPSULES[name], library_body(name).shapes[name]
     points = drawn.points
     if name == "ant":  # without legs, feelers and the rings that coxae share with the thorax
         assert drawn.capture is not None
@@ -114,5 +114,5 @@ def test_the_room_that_a_body_takes_is_that_of_its_mesh(name: str) -> None:
         points = points[np.abs(points[:, 2]) < 0.13]
     low, high = points.min(axis=0), points.max(axis=0)
     size = high - low
-    assert room.width == pytest.approx(size[2], rel=0.1) and room.length == pytest.approx(size[0], rel=0.1)
-    assert (low[0] + high[0]) / 2 == pytest.approx(room.ahead, abs=0.06) and low[1] < room.height < high[1]
+    assert capsule.width == pytest.approx(size[2], rel=0.1) and capsule.length == pytest.approx(size[0], rel=0.1)
+    assert (low[0] + high[0]) / 2 == pytest.approx(capsule.ahead, abs=0.06) and low[1] < capsule.height < high[1]

@@ -62,9 +62,9 @@ METADATA = """{
 
 
 def rig_of(text: str) -> Rig:
-    found, report = read_part(text.encode(), "rig.json", "a rig", read_rig)
-    assert found is not None and not report.diagnostics, report.diagnostics
-    return found
+    parsed_rig, report = read_part(text.encode(), "rig.json", "a rig", read_rig)
+    assert parsed_rig is not None and not report.diagnostics, report.diagnostics
+    return parsed_rig
 
 
 def test_a_rig_is_a_tree_in_any_order_with_channels() -> None:
@@ -86,10 +86,10 @@ def test_what_is_written_is_read_as_it_was() -> None:
         (GROUP, "a transform group", read_group, write_group),
         (METADATA, "metadata", read_metadata, write_metadata),
     )
-    for given, what, read, write in reads:
-        found, report = read_part(given.encode(), "x.json", what, read)
-        assert found is not None and not report.diagnostics, report.diagnostics
-        assert read_part(write(found).encode(), "x.json", what, read)[0] == found
+    for json_text, what, read, write in reads:
+        part, report = read_part(json_text.encode(), "x.json", what, read)
+        assert part is not None and not report.diagnostics, report.diagnostics
+        assert read_part(write(part).encode(), "x.json", what, read)[0] == part
 
 
 def test_layers_groups_and_metadata_say_what_the_text_says() -> None:
@@ -108,8 +108,8 @@ def test_several_roots_are_fine() -> None:
     assert rig_of('{"rig_version": 1, "transforms": {"a": [], "b": ["c"], "c": []}}').parents.tolist() == [-1, -1, 1]
 
 
-def rig(transforms: str, more: str = "") -> str:
-    return f'{{"rig_version": 1, "transforms": {transforms}{more}}}'
+def rig(transforms: str, extra_text: str = "") -> str:
+    return f'{{"rig_version": 1, "transforms": {transforms}{extra_text}}}'
 
 
 RESTS = "[[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [1, 2, 3, 1]]"
@@ -177,19 +177,19 @@ CASES = [
 
 
 @pytest.mark.parametrize(("text", "what", "read", "code", "marked", "help"), CASES, ids=[case[0][:70] for case in CASES])
-def test_a_mistake_is_told_at_its_place_with_what_to_write(
+def test_a_mistake_is_reported_at_its_place_with_what_to_write(
     text: str, what: str, read: Callable[..., Any], code: str, marked: str, help: str | None
 ) -> None:
-    found, report = read_part(text.encode(), "x.json", what, read)
-    assert found is None
-    (told,) = report.errors
-    assert told.span is not None and (told.code, told.span.text, told.help) == (code, marked, help), told
+    part, report = read_part(text.encode(), "x.json", what, read)
+    assert part is None
+    (error,) = report.errors
+    assert error.span is not None and (error.code, error.span.text, error.help) == (code, marked, help), error
 
 
-def test_what_others_add_to_a_documented_form_is_told_of_and_read() -> None:
+def test_additions_of_others_to_a_documented_form_are_reported_and_read() -> None:
     text = '{"version": 2, "name": "x", "colour": 1, "members": [{"name": "a", "side": "left"}]}'
-    found, report = read_part(text.encode(), "x.json", "a transform group", read_group)
-    assert found == TransformGroup("x", (("a", 1.0),))
+    part, report = read_part(text.encode(), "x.json", "a transform group", read_group)
+    assert part == TransformGroup("x", (("a", 1.0),))
     assert [(each.severity, each.code) for each in report.diagnostics] == [("warning", "unknown-key")] * 2
 
 
@@ -202,5 +202,5 @@ def test_bytes_that_are_no_text_and_too_many_joints_are_refused(monkeypatch: pyt
 def test_a_deep_rig_is_read_without_recursion() -> None:
     names = [f"j{number}" for number in range(limits.JOINTS)]
     children = [f'"{a}": ["{b}"]' for a, b in pairwise(names)]
-    found = rig_of(rig("{" + ", ".join([*children, f'"{names[-1]}": []']) + "}"))
-    assert found.parents.tolist() == list(range(-1, limits.JOINTS - 1))
+    deep_rig = rig_of(rig("{" + ", ".join([*children, f'"{names[-1]}": []']) + "}"))
+    assert deep_rig.parents.tolist() == list(range(-1, limits.JOINTS - 1))

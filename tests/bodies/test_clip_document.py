@@ -17,8 +17,8 @@ ARM[:3, :3], ARM[:3, 3] = [[0, -2, 0], [1, 0, 0], [0, 0, 1]], (7, 8, 9)  # a qua
 RIG = Rig(("root", "arm"), np.array([-1, 0], np.int32), np.array([np.eye(4), ARM]), (Channel("jaw"),))
 
 
-def clip_of(channels: str, more: str = "", rig: Rig | None = None) -> tuple[Clip | None, Report]:
-    text = f'{{"antdsl_clip": 1, "name": "walk", "rate": 10, {more} "channels": {channels}}}'
+def clip_of(channels: str, extra_text: str = "", rig: Rig | None = None) -> tuple[Clip | None, Report]:
+    text = f'{{"antdsl_clip": 1, "name": "walk", "rate": 10, {extra_text} "channels": {channels}}}'
     return read_part(text.encode(), "walk.json", "a clip", lambda values, node: read_clip(values, node, rig))
 
 
@@ -26,23 +26,25 @@ TURNS = '"rotation_order": "zyx", "angles": "degrees",'
 
 
 def test_channels_are_samples_and_one_number_stays_as_it_is() -> None:
-    more = f'{TURNS} "stride": 3, "loop": false, "marks": {{"left": 0.1}},'
-    clip, report = clip_of('{"arm:tx": [0, 1, 2,], "arm:ry": [0, 45, 90], "arm:rx": 90, "arm:sz": 4, "jaw": [0, 0.5, 1]}', more)
+    extra_text = f'{TURNS} "stride": 3, "loop": false, "marks": {{"left": 0.1}},'
+    clip, report = clip_of(
+        '{"arm:tx": [0, 1, 2,], "arm:ry": [0, 45, 90], "arm:rx": 90, "arm:sz": 4, "jaw": [0, 0.5, 1]}', extra_text
+    )
     assert clip is not None and not report.diagnostics
     assert (clip.samples, clip.duration, clip.stride, clip.loop, clip.marks) == (3, 0.2, 3.0, False, {"left": 0.1})
     assert (clip.joints, clip.channels) == (("arm",), ("jaw",))
     assert clip.translation[:, 0].tolist() == [[0, 0, 0], [1, 0, 0], [2, 0, 0]] and clip.scale[2, 0].tolist() == [1, 1, 4]
     assert clip.values[:, 0].tolist() == [0, 0.5, 1] and clip.shear is None
-    wanted = rotation_of_angles(np.radians([[90.0, 0, 0], [90, 45, 0], [90, 90, 0]]), "zyx")
-    assert np.abs(clip.rotation[:, 0] - wanted).max() < 1e-7
+    expected = rotation_of_angles(np.radians([[90.0, 0, 0], [90, 45, 0], [90, 90, 0]]), "zyx")
+    assert np.abs(clip.rotation[:, 0] - expected).max() < 1e-7
 
 
 def test_parts_that_are_left_out_are_those_of_the_rest_pose() -> None:
     clip, _ = clip_of('{"arm:tx": [0, 1], "arm:shear2": 0.5}', rig=RIG)
     assert clip is not None and clip.shear is not None
     assert clip.translation[:, 0].tolist() == [[0, 8, 9], [1, 8, 9]] and clip.shear[0, 0].tolist() == [0, 0.5, 0]
-    whole = matrix_of(np.array([7.0, 8, 9]), clip.rotation[0, 0].astype(float), clip.scale[0, 0].astype(float))
-    assert np.abs(whole - ARM).max() < 1e-6
+    matrices = matrix_of(np.array([7.0, 8, 9]), clip.rotation[0, 0].astype(float), clip.scale[0, 0].astype(float))
+    assert np.abs(matrices - ARM).max() < 1e-6
 
 
 def test_a_clip_that_is_written_is_read_as_it_was() -> None:
@@ -59,8 +61,8 @@ def test_a_clip_that_is_written_is_read_as_it_was() -> None:
         assert (a == b).all()
     assert (clip.values == again.values).all()
     assert np.abs(clip.rotation * np.sign((clip.rotation * again.rotation).sum(-1))[..., None] - again.rotation).max() < 1e-6
-    kept = ("name", "rate", "joints", "channels", "loop", "stride", "marks")
-    assert [getattr(clip, each) for each in kept] == [getattr(again, each) for each in kept]
+    field_names = ("name", "rate", "joints", "channels", "loop", "stride", "marks")
+    assert [getattr(clip, each) for each in field_names] == [getattr(again, each) for each in field_names]
 
 
 CASES = [
@@ -81,15 +83,15 @@ CASES = [
 
 
 @pytest.mark.parametrize(("channels", "more", "code", "marked", "help"), CASES)
-def test_a_mistake_is_told_at_its_place(channels: str, more: str, code: str, marked: str, help: str | None) -> None:
+def test_a_mistake_is_reported_at_its_place(channels: str, more: str, code: str, marked: str, help: str | None) -> None:
     clip, report = clip_of(channels, more)
     assert clip is None
-    (told,) = report.errors
-    assert told.span is not None and (told.code, told.span.text) == (code, marked), told
-    assert help is None or told.help == help, told
+    (error,) = report.errors
+    assert error.span is not None and (error.code, error.span.text) == (code, marked), error
+    assert help is None or error.help == help, error
 
 
-def test_joints_and_channels_that_the_rig_does_not_have_are_told_of_and_left_out() -> None:
+def test_joints_and_channels_missing_from_the_rig_are_reported_and_left_out() -> None:
     clip, report = clip_of('{"arm:tx": [0, 1], "am:tx": [0, 1], "jaw": 1, "jew": 1}', rig=RIG)
     assert clip is not None and (clip.joints, clip.channels) == (("arm",), ("jaw",))
     assert [each.span.text for each in report.diagnostics if each.span] == ['"am:tx"', '"jew"'] and report.ok

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from antdsl.bodies.agents.definition import Binding, Layer, spoken_names
+from antdsl.bodies.agents.definition import Binding, Layer, language_names
 from antdsl.bodies.crowd_bodies import clip_data, room_of
 from antdsl.bodies.files import reading
 from antdsl.bodies.files.reading import read_definition
@@ -65,14 +65,14 @@ def test_a_run_goes_by_the_clips_of_the_body(folder: Path) -> None:
     world = bind(shot.plan, shot.setting)
     now = world.populations["walker"].now
     for _ in range(12):
-        before = now["main.clip_turns"].copy()
+        previous_turns = now["main.clip_turns"].copy()
         step(world)
         now = world.populations["walker"].now
     speed = sum(now[f"velocity.{axis}"].astype(float) ** 2 for axis in "xyz") ** 0.5  # mm/s
     walking = now["main.clip"] == 0
     assert walking.any()
-    gone = (now["main.clip_turns"] - before)[walking]
-    assert gone * 1200 * 24 == pytest.approx(
+    turn_differences = (now["main.clip_turns"] - previous_turns)[walking]
+    assert turn_differences * 1200 * 24 == pytest.approx(
         speed[walking], rel=1e-2
     )  # 1.2 m of ground a turn; the speed is that of the step before
 
@@ -80,18 +80,18 @@ def test_a_run_goes_by_the_clips_of_the_body(folder: Path) -> None:
 def test_a_body_takes_the_room_of_its_box(folder: Path) -> None:
     body, _ = read_definition(folder / "walker.json")
     assert body is not None
-    room = room_of(body)
+    extent = room_of(body)
     # some 0.5 m wide at the shoulders, and less deep; the middle below half its height
-    assert room.width == pytest.approx(0.5 / 1.75, abs=0.03) and room.length == room.width
-    assert 0.4 < room.height < 0.55 and abs(room.ahead) < 0.05
+    assert extent.width == pytest.approx(0.5 / 1.75, abs=0.03) and extent.length == extent.width
+    assert 0.4 < extent.height < 0.55 and abs(extent.ahead) < 0.05
     hat = replace(body.shapes["head"], points=body.shapes["head"].points * 20)
     hatted = replace(
         body, shapes={**body.shapes, "hat": hat}, layers={**body.layers, "hat": Layer("hat", (Binding("head", "hat"),))}
     )
-    assert room_of(hatted) == room, "what is worn takes no room"
+    assert room_of(hatted) == extent, "what is worn takes no room"
     boxed = replace(hatted, layers={**hatted.layers, "collision": Layer("collision", (Binding("head", "hat"),))})
-    assert room_of(boxed).width > 3 * room.width, "a layer `collision` goes first"
-    assert opened(written(folder)).setting.rooms == {"walker": room}
+    assert room_of(boxed).width > 3 * extent.width, "a layer `collision` goes first"
+    assert opened(written(folder)).setting.rooms == {"walker": extent}
     assert clip_data(body.clips["idle"], body).stride == 0
 
 
@@ -105,7 +105,7 @@ def test_another_file_is_another_input(folder: Path) -> None:
     assert changed.setting.clips["walker"]["walk"].stride == pytest.approx(1.3 / 1.75)
 
 
-def test_a_word_is_a_body_of_the_library_whose_clips_are_played(folder: Path) -> None:
+def test_a_library_name_is_a_body_whose_clips_are_played(folder: Path) -> None:
     scene = written(folder, crowd=2 * CROWD.replace("walker.json", "ant"))
     (error,) = open_scene(scene)[1].errors
     assert (error.code, error.span.text if error.span else "") == ("unknown-name", "ant")
@@ -149,7 +149,7 @@ def test_a_body_is_read_once_and_again_when_a_file_of_it_changes(folder: Path, m
     from antdsl.scene.paths import sought
 
     times = []
-    monkeypatch.setattr(reading, "read_definition", lambda *given: times.append(given) or read_definition(*given))
+    monkeypatch.setattr(reading, "read_definition", lambda *arguments: times.append(arguments) or read_definition(*arguments))
     scene = written(folder)
     first = opened(scene)
     with sought() as files:
@@ -161,7 +161,7 @@ def test_a_body_is_read_once_and_again_when_a_file_of_it_changes(folder: Path, m
     assert not open_scene(scene)[1].ok
 
 
-def test_names_of_files_are_spoken_as_the_language_writes_them(folder: Path) -> None:
+def test_names_in_files_are_converted_to_names_of_the_language(folder: Path) -> None:
     text = (folder / "walker.json").read_text(encoding="utf-8")
     for old, new in (("walk", "Armature|Walk"), ("wave", "Wave 01"), ("arms", "Right.Arm"), ("left", "Left-foot")):
         text = text.replace(f'"{old}"', f'"{new}"')
@@ -178,11 +178,11 @@ def test_names_of_files_are_spoken_as_the_language_writes_them(folder: Path) -> 
 
 
 def test_names_that_sound_alike_stay_apart() -> None:
-    wanted = {"Walk": "walk_2", "walk": "walk", "WALK": "walk_3", "01 run": "n01_run", "|": "n"}
-    assert spoken_names(wanted) == wanted
+    expected_names = {"Walk": "walk_2", "walk": "walk", "WALK": "walk_3", "01 run": "n01_run", "|": "n"}
+    assert language_names(expected_names) == expected_names
 
 
-def told(report: Report) -> list[tuple[str, str, str | None]]:
+def summarise_report(report: Report) -> list[tuple[str, str, str | None]]:
     return [(each.code, each.span.text if each.span else "", each.help) for each in report.sorted()]
 
 
@@ -200,7 +200,7 @@ def told(report: Report) -> list[tuple[str, str, str | None]]:
         (CROWD, CROWD + CROWD.replace("walker.json", "person"), "wrong-value", "person", None),
     ],
 )  # fmt: skip
-def test_what_does_not_fit_is_told_at_its_place(
+def test_what_does_not_fit_is_reported_at_its_place(
     folder: Path, old: str, new: str, code: str, place: str, help: str | None
 ) -> None:
     assert old in PROGRAM + CROWD
@@ -217,7 +217,7 @@ def test_what_does_not_fit_is_told_at_its_place(
         )
 
 
-def test_what_is_wrong_within_the_file_is_told_at_its_place_there(folder: Path) -> None:
+def test_mistakes_within_the_file_are_reported_at_their_place_in_it(folder: Path) -> None:
     text = (folder / "walker.json").read_text(encoding="utf-8")
     (folder / "walker.json").write_text(text.replace('"transform":"head"', '"transform":"haed"'), encoding="utf-8")
     _, report = open_scene(written(folder))
@@ -240,13 +240,13 @@ def test_a_preview_takes_the_changed_body_over(folder: Path) -> None:
     (folder / "walker.json").write_text(text.replace('"stride":1.2', '"stride":2.4'), encoding="utf-8")
     again, _ = compiling.open()
     assert again is not None
-    made, _, report = compiling.take_over(world, again)
-    assert made is not None and report.ok
-    assert made.setting.clips["walker"]["walk"].stride == pytest.approx(2.4 / 1.75)
-    assert (made.populations["walker"].now["main.clip_turns"] == world.populations["walker"].now["main.clip_turns"]).all()
+    new_world, _, report = compiling.take_over(world, again)
+    assert new_world is not None and report.ok
+    assert new_world.setting.clips["walker"]["walk"].stride == pytest.approx(2.4 / 1.75)
+    assert (new_world.populations["walker"].now["main.clip_turns"] == world.populations["walker"].now["main.clip_turns"]).all()
 
 
-def test_an_editor_is_told_what_the_body_does_not_have(folder: Path) -> None:
+def test_an_editor_reports_what_the_body_does_not_have(folder: Path) -> None:
     scene = written(folder, PROGRAM.replace("play walk", "play wlak"))
     _, _, report = check_scene_text(scene, {scene: scene.read_bytes()})
     assert [each.message for each in report.errors] == ["`walker.json` has no clip `wlak`"]
@@ -264,7 +264,7 @@ def test_an_editor_is_told_what_the_body_does_not_have(folder: Path) -> None:
         "let there = clip at nowhere; when there -> wave",
     ],
 )
-def test_marks_are_asked_of_the_body_wherever_a_program_asks(line: str, folder: Path) -> None:
+def test_marks_are_looked_up_in_the_body_wherever_a_program_uses_them(line: str, folder: Path) -> None:
     program = PROGRAM.replace("play walk;", f"play walk; {line};").replace("size 1.75 m", "size 1.75 m\n  woken = 0")
     program = program.replace("steer wander();", "") if line.startswith("steer") else program
     _, report = open_scene(written(folder, program))

@@ -40,25 +40,25 @@ def folder(tmp_path: Path) -> Path:
 
 def read(folder: Path, **parts: Any) -> tuple[Definition | None, list[Diagnostic]]:
     (folder / "body.json").write_text(json.dumps({"antdsl_body": 1, **parts}))
-    found, report = read_definition(folder / "body.json")
-    return found, report.diagnostics
+    definition, report = read_definition(folder / "body.json")
+    return definition, report.diagnostics
 
 
 def fine(folder: Path, **parts: Any) -> Definition:
-    found, told = read(folder, **parts)
-    assert found is not None and not told, told
-    return found
+    definition, diagnostics = read(folder, **parts)
+    assert definition is not None and not diagnostics, diagnostics
+    return definition
 
 
-def told(folder: Path, **parts: Any) -> tuple[str, str, str | None]:
+def error_of(folder: Path, **parts: Any) -> tuple[str, str, str | None]:
     """Code, marked text and help of the one error."""
-    found, all_told = read(folder, **parts)
-    assert found is None
-    (error,) = [each for each in all_told if each.severity == "error"]
+    definition, diagnostics = read(folder, **parts)
+    assert definition is None
+    (error,) = [each for each in diagnostics if each.severity == "error"]
     return error.code, error.span.text if error.span else "", error.help
 
 
-WHOLE: dict[str, Any] = {
+COMPLETE_BODY: dict[str, Any] = {
     "name": "soldier", "front": "+x", "up": "+z", "units": "cm",
     "shapes": [{"file": "sword.obj", "name": "sword", "units": "mm", "material": "steel"}],
     "materials": {"steel": [0.5, 0.5, 0.6]},
@@ -67,7 +67,13 @@ WHOLE: dict[str, Any] = {
 
 def test_parts_are_inside_or_in_files_of_their_own(folder: Path) -> None:
     inside = fine(
-        folder, **WHOLE, rig=RIG, layers=[LAYER], groups=[GROUP], clips=[CLIP], metadata={"a": {"type": "int", "value": 2}}
+        folder,
+        **COMPLETE_BODY,
+        rig=RIG,
+        layers=[LAYER],
+        groups=[GROUP],
+        clips=[CLIP],
+        metadata={"a": {"type": "int", "value": 2}},
     )
     (folder / "parts").mkdir()
     named = {}
@@ -76,7 +82,7 @@ def test_parts_are_inside_or_in_files_of_their_own(folder: Path) -> None:
         (folder / "parts" / f"{name}.json").write_text(json.dumps(part))
         named[name] = {"file": f"parts/{name}.json"}
     beside = fine(
-        folder, **WHOLE, rig=named["rig"], layers=[named["layer"]], groups=[named["group"]], clips=[named["clip"]],
+        folder, **COMPLETE_BODY, rig=named["rig"], layers=[named["layer"]], groups=[named["group"]], clips=[named["clip"]],
         metadata=named["metadata"],
     )  # fmt: skip
     for each in (inside, beside):
@@ -101,9 +107,9 @@ def test_all_of_a_gltf_file_and_what_is_said_beside(folder: Path) -> None:
 
 def test_clips_of_another_file_lose_what_the_rig_does_not_have(folder: Path) -> None:
     rig = {"rig_version": 1, "transforms": {"elbow": []}}
-    body, told = read(folder, rig=rig, length=1, clips=[{"file": "arm.glb", "clip": "hop", "rate": 10}])
+    body, diagnostics = read(folder, rig=rig, length=1, clips=[{"file": "arm.glb", "clip": "hop", "rate": 10}])
     assert body is not None and body.clips["hop"].joints == ("elbow",) and body.clips["hop"].samples == 11
-    assert [each.code for each in told] == ["body-left-out"] and "`root`" in told[0].message
+    assert [each.code for each in diagnostics] == ["body-left-out"] and "`root`" in diagnostics[0].message
 
 
 def test_what_a_clip_of_a_file_does_not_key_rests_as_in_the_rig(folder: Path) -> None:
@@ -138,16 +144,16 @@ def test_a_unit_may_be_a_number_of_millimetres(folder: Path) -> None:
     for text, unit in (("6 mm", 6.0), ("0.5 m", 500.0), ("cm", 10.0)):
         assert fine(folder, rig=RIG, length=1, units=text).unit == unit
     for text in ("0 mm", "-1 mm", "6mm", "1e3 mm", " mm", "6  mm"):
-        assert told(folder, rig=RIG, units=text)[0] == "wrong-value"
+        assert error_of(folder, rig=RIG, units=text)[0] == "wrong-value"
 
 
 def test_one_shape_of_a_file_and_two_of_a_name(folder: Path) -> None:
     shapes = [{"file": "arm.glb", "shape": "arm.smile", "name": "mask"}]
     assert list(fine(folder, rig=RIG, length=1, shapes=shapes).shapes) == ["mask"]
     twice = [{"file": "sword.obj", "name": "a"}, {"file": "sword.obj", "name": "a"}]
-    assert told(folder, rig=RIG, shapes=twice) == ("duplicate-name", '"a"', "keep one of them")
-    assert told(folder, rig=RIG, shapes=[{"file": "arm.glb", "name": "a"}])[2] == 'add `"shape": "arm"`'
-    assert told(folder, rig=RIG, shapes=[{"file": "arm.glb", "shape": "arn"}]) == ("unknown-name", '"arn"', 'write `"arm"`')
+    assert error_of(folder, rig=RIG, shapes=twice) == ("duplicate-name", '"a"', "keep one of them")
+    assert error_of(folder, rig=RIG, shapes=[{"file": "arm.glb", "name": "a"}])[2] == 'add `"shape": "arm"`'
+    assert error_of(folder, rig=RIG, shapes=[{"file": "arm.glb", "shape": "arn"}]) == ("unknown-name", '"arn"', 'write `"arm"`')
 
 
 def test_blend_shapes_by_their_documented_attributes(folder: Path) -> None:
@@ -163,10 +169,10 @@ def test_blend_shapes_by_their_documented_attributes(folder: Path) -> None:
     assert body.shapes["head"].dual_quaternion_blend == "soft"
     assert body.shapes["smile"].between == Between(("half",), (0.5,))
     shapes[1]["blendshape_inbetweenweights"] = [1]
-    assert told(folder, rig=RIG, shapes=shapes) == ("out-of-range", "[1]", "write `0.5`")
+    assert error_of(folder, rig=RIG, shapes=shapes) == ("out-of-range", "[1]", "write `0.5`")
     shapes[1]["blendshape_inbetweenweights"] = [0.5]
     shapes[0]["blendshape_channels"] = ["fest"]
-    assert told(folder, rig=RIG, shapes=shapes)[::2] == ("unknown-name", "did you mean `fist`?")
+    assert error_of(folder, rig=RIG, shapes=shapes)[::2] == ("unknown-name", "did you mean `fist`?")
 
 
 def test_a_library_is_found_by_its_condensed_path_or_where_a_root_grants_the_absolute_one(folder: Path, tmp_path: Path) -> None:
@@ -181,10 +187,10 @@ def test_a_library_is_found_by_its_condensed_path_or_where_a_root_grants_the_abs
         (inner / "body.json").write_text(
             json.dumps({"antdsl_body": 1, "rig": RIG, "length": 1, "shapelib_includes": [[condensed, absolute]]})
         )
-        found, report = read_definition(inner / "body.json")
-        assert found is None and report.errors[0].code in ("root-not-granted", "no-such-file")
-        found, report = read_definition(inner / "body.json", Roots(inner, {"JOB": job}))
-        assert found is not None and list(found.shapes) == ["axe"], report.diagnostics
+        definition, report = read_definition(inner / "body.json")
+        assert definition is None and report.errors[0].code in ("root-not-granted", "no-such-file")
+        definition, report = read_definition(inner / "body.json", Roots(inner, {"JOB": job}))
+        assert definition is not None and list(definition.shapes) == ["axe"], report.diagnostics
 
 
 @pytest.mark.parametrize(
@@ -218,36 +224,36 @@ def test_a_library_is_found_by_its_condensed_path_or_where_a_root_grants_the_abs
         ({"rig": RIG, "shapes": [{"file": "arm.glb"}]}, "unknown-name", "{", "give the rig"),
     ],
 )  # fmt: skip
-def test_a_mistake_is_told_at_its_place(
+def test_a_mistake_is_reported_at_its_place(
     folder: Path, parts: dict[str, Any], code: str, marked: str | None, help: str | None
 ) -> None:
-    found = told(folder, **parts)
-    assert found[0] == code and marked in (None, found[1]), found
-    assert help is None or (found[2] or "").startswith(help), found
+    error = error_of(folder, **parts)
+    assert error[0] == code and marked in (None, error[1]), error
+    assert help is None or (error[2] or "").startswith(help), error
 
 
 @pytest.mark.parametrize(("part", "what"), [(RIG, "a rig"), (LAYER, "a layer"), (GROUP, "a transform group"), (CLIP, "a clip")])
 def test_a_part_alone_is_no_definition(folder: Path, part: dict[str, Any], what: str) -> None:
     (folder / "part.json").write_text(json.dumps(part))
-    found, report = read_definition(folder / "part.json")
+    definition, report = read_definition(folder / "part.json")
     (error,) = report.errors
-    assert found is None and error.code == "wrong-kind" and error.message.startswith(f"this is {what}, not a definition")
+    assert definition is None and error.code == "wrong-kind" and error.message.startswith(f"this is {what}, not a definition")
     assert (error.help or "").startswith('write a file `{"antdsl_body": 1, "')
 
 
-def test_a_deformer_of_ones_own_and_channels_of_other_rigs_are_told_of_alone(folder: Path) -> None:
+def test_unknown_deformers_and_channels_of_other_rigs_are_only_reported(folder: Path) -> None:
     layer = {"version": 2, "name": "a", "deforming": [{"transform": "hand", "shape": "s", "deformer": "lineerskinning"}]}
     group = {**GROUP, "channels": [{"name": "fost"}]}
-    body, told = read(folder, rig=RIG, shapes=[{"file": "sword.obj", "name": "s"}], layers=[layer], groups=[group])
-    assert body is not None and sorted((each.code, each.help) for each in told) == [
+    body, diagnostics = read(folder, rig=RIG, shapes=[{"file": "sword.obj", "name": "s"}], layers=[layer], groups=[group])
+    assert body is not None and sorted((each.code, each.help) for each in diagnostics) == [
         ("unknown-name", 'write `"fist"`'), ("unknown-name", 'write `"linearskinning"`'),
     ]  # fmt: skip
 
 
-def test_a_mistake_in_a_file_of_its_own_is_told_there(folder: Path) -> None:
+def test_a_mistake_in_a_separate_file_is_reported_there(folder: Path) -> None:
     (folder / "wave.json").write_text(json.dumps({**CLIP, "channels": {"hand:tx": [0, "x"]}}))
-    body, told = read(folder, rig=RIG, clips=[{"file": "wave.json"}])
-    assert body is None and [(each.span.source.path, each.span.text) for each in told if each.span] == [
+    body, diagnostics = read(folder, rig=RIG, clips=[{"file": "wave.json"}])
+    assert body is None and [(each.span.source.path, each.span.text) for each in diagnostics if each.span] == [
         (str(folder / "wave.json"), '"x"')
     ]
 
@@ -258,10 +264,10 @@ def test_a_text_names_a_body_below_granted_roots_and_its_parts_lie_beside_it(fol
     body = {"antdsl_body": 1, "rig": RIG, "shapes": [{"file": "sword.obj", "name": "sword"}], "layers": [LAYER]}
     (folder / "deep" / "body.json").write_text(json.dumps(body))
     for text, roots in (("deep/body.json", Roots(folder)), ("assets:deep/body.json", Roots(folder / "deep", {"assets": folder}))):
-        found, report = read_definition(text, roots)
-        assert found is not None and list(found.shapes) == ["sword"], report.diagnostics
-    found, report = read_definition("other:body.json", Roots(folder))
-    assert found is None and report.errors[0].code == "root-not-granted"
+        definition, report = read_definition(text, roots)
+        assert definition is not None and list(definition.shapes) == ["sword"], report.diagnostics
+    definition, report = read_definition("other:body.json", Roots(folder))
+    assert definition is None and report.errors[0].code == "root-not-granted"
 
 
 def test_clips_written_by_the_package_are_read_in_a_definition(folder: Path) -> None:
@@ -297,21 +303,21 @@ def spots(tree: Any) -> list[tuple[Any, Any]]:
     return [each for key in keys for each in ((tree, key), *spots(tree[key]))]
 
 
-def test_whatever_stands_in_a_definition_it_is_read_or_told_of(folder: Path) -> None:
+def test_any_change_of_a_definition_is_read_or_reported(folder: Path) -> None:
     shapes = [
         {"file": "sword.obj", "name": "sword", "units": "mm", "blendshape_shapenames": ["cut"], "blendshape_channels": ["fist"]},
         {"file": "sword.obj", "name": "cut", "blendshape_shapenames": ["sword"], "blendshape_inbetweenweights": [0.5]},
     ]
     rig = {**RIG, "antdsl_rest": {"hand": [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]}}
     clips = [{**CLIP, "marks": {"a": 0.1}}, {"file": "arm.glb", "clip": "hop", "rate": 10}]
-    whole = {
-        **WHOLE, "antdsl_body": 1, "rig": rig, "shapes": shapes, "layers": [LAYER], "groups": [GROUP], "clips": clips,
+    complete_body = {
+        **COMPLETE_BODY, "antdsl_body": 1, "rig": rig, "shapes": shapes, "layers": [LAYER], "groups": [GROUP], "clips": clips,
         "length": 2,
         "metadata": {"a": {"type": "int", "value": 2}, "b": [1, {"c": "d"}]},
         "shapelib_includes": [["$HIP/block.obj", ""]],
     }  # fmt: skip
     (folder / "block.obj").write_text(OBJ)
-    text, draw, read = json.dumps(whole), random.Random(7), 0
+    text, draw, read = json.dumps(complete_body), random.Random(7), 0
     for _ in range(150):
         tree = json.loads(text)
         for _ in range(draw.choice([0, 1, 1, 2])):
@@ -321,17 +327,17 @@ def test_whatever_stands_in_a_definition_it_is_read_or_told_of(folder: Path) -> 
             else:
                 holder[key] = draw.choice(ODD)
         (folder / "body.json").write_text(json.dumps(tree))
-        found, report = read_definition(folder / "body.json")
-        assert (found is None) == bool(report.errors), (tree, report.diagnostics)
+        definition, report = read_definition(folder / "body.json")
+        assert (definition is None) == bool(report.errors), (tree, report.diagnostics)
         assert all(each.span is not None for each in report.diagnostics)
-        read += found is not None
+        read += definition is not None
     assert 15 < read < 125
 
 
 def test_all_clips_together_have_a_limit(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(limits, "BODY_PARTS", 1)
     clips = [{**CLIP, "name": name} for name in "ab"]
-    assert told(folder, rig=RIG, clips=clips)[0] == "too-large"
+    assert error_of(folder, rig=RIG, clips=clips)[0] == "too-large"
 
 
 # ---- legs and gaits
@@ -366,26 +372,29 @@ def test_legs_and_gaits_from_slow_to_fast(folder: Path) -> None:
     ]  # fmt: skip
 
 
-def test_what_is_told_of_legs_and_gaits(folder: Path) -> None:
-    assert told(folder, **with_leg(foot="fot")) == ("unknown-name", '"fot"', 'write `"foot"`')
-    assert told(folder, **with_leg(foot="tail"))[:2] == ("bad-rig", '"tail"')
-    assert told(folder, **with_leg(upper="knee", lower="hip"))[0] == "bad-rig"
-    assert told(folder, **with_leg(knee="knee"))[:2] == ("unknown-key", '"knee"')
-    assert told(folder, **(LEGS | {"legs": LEGS["legs"] * 2, "gaits": []}))[:2] == ("duplicate-name", '"left"')
-    assert told(folder, **with_gait(phases=[0, 0.5]))[0] == "wrong-value"
-    assert told(folder, **with_gait(duty=1.5))[:2] == ("out-of-range", "1.5")
-    assert told(folder, **with_gait(stride=0))[:2] == ("out-of-range", "0")
-    assert told(folder, **with_gait(phases=[2]))[:2] == ("out-of-range", "2")
-    assert told(folder, **(LEGS | {"gaits": [LEGS["gaits"][0], LEGS["gaits"][0] | {"name": "trot"}]}))[:2] == ("wrong-value", "9")
-    assert told(folder, **LEGS, idle="stand")[:2] == ("unknown-name", '"stand"')
-    found, said = read(folder, **(LEGS | {"gaits": []}))
-    assert found is not None and [each.code for each in said] == ["missing-key"]
+def test_mistakes_in_legs_and_gaits_are_reported(folder: Path) -> None:
+    assert error_of(folder, **with_leg(foot="fot")) == ("unknown-name", '"fot"', 'write `"foot"`')
+    assert error_of(folder, **with_leg(foot="tail"))[:2] == ("bad-rig", '"tail"')
+    assert error_of(folder, **with_leg(upper="knee", lower="hip"))[0] == "bad-rig"
+    assert error_of(folder, **with_leg(knee="knee"))[:2] == ("unknown-key", '"knee"')
+    assert error_of(folder, **(LEGS | {"legs": LEGS["legs"] * 2, "gaits": []}))[:2] == ("duplicate-name", '"left"')
+    assert error_of(folder, **with_gait(phases=[0, 0.5]))[0] == "wrong-value"
+    assert error_of(folder, **with_gait(duty=1.5))[:2] == ("out-of-range", "1.5")
+    assert error_of(folder, **with_gait(stride=0))[:2] == ("out-of-range", "0")
+    assert error_of(folder, **with_gait(phases=[2]))[:2] == ("out-of-range", "2")
+    assert error_of(folder, **(LEGS | {"gaits": [LEGS["gaits"][0], LEGS["gaits"][0] | {"name": "trot"}]}))[:2] == (
+        "wrong-value",
+        "9",
+    )
+    assert error_of(folder, **LEGS, idle="stand")[:2] == ("unknown-name", '"stand"')
+    definition, said = read(folder, **(LEGS | {"gaits": []}))
+    assert definition is not None and [each.code for each in said] == ["missing-key"]
 
 
 def test_a_clip_says_whether_feet_stand(folder: Path) -> None:
     clips = [CLIP, CLIP | {"name": "groom", "feet": False}]
-    body = fine(folder, **WHOLE, rig=RIG, clips=clips, idle="wave", length=10)
+    body = fine(folder, **COMPLETE_BODY, rig=RIG, clips=clips, idle="wave", length=10)
     assert body.clips["wave"].feet and not body.clips["groom"].feet and body.idle == "wave"
     (folder / "wave.json").write_text(json.dumps(CLIP))
-    other = fine(folder, **WHOLE, rig=RIG, clips=[{"file": "wave.json", "feet": False}], length=10)
+    other = fine(folder, **COMPLETE_BODY, rig=RIG, clips=[{"file": "wave.json", "feet": False}], length=10)
     assert not other.clips["wave"].feet

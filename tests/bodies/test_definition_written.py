@@ -60,18 +60,18 @@ def body(tmp_path: Path) -> Definition:
     (tmp_path / "arm.glb").write_bytes(binary(*arm()))
     (tmp_path / "block.obj").write_text("v 0 0 0\nv 2 0 0\nv 0 1 0\nv 0 0 3\nf 1 2 3\nf 1 3 4\n")
     (tmp_path / "around.json").write_text(json.dumps(AROUND))
-    found, report = read_definition(tmp_path / "around.json")
-    assert found is not None, str(report.sorted())
-    return found
+    definition, report = read_definition(tmp_path / "around.json")
+    assert definition is not None, str(report.sorted())
+    return definition
 
 
 def read_back(path: Path, files: dict[str, bytes], name: str, rate: float = 0.0) -> Definition:
     for each, data in files.items():
         (path / each).parent.mkdir(parents=True, exist_ok=True)
         (path / each).write_bytes(data)
-    found, report = read_definition(path / name, rate=rate)
-    assert found is not None and not report.diagnostics, [each.message for each in report.sorted()]
-    return found
+    definition, report = read_definition(path / name, rate=rate)
+    assert definition is not None and not report.diagnostics, [each.message for each in report.sorted()]
+    return definition
 
 
 def same(a: object, b: object, within: float = 1e-6) -> None:
@@ -100,10 +100,10 @@ def same(a: object, b: object, within: float = 1e-6) -> None:
 def test_our_own_files_are_read_back_as_they_were(body: Definition, tmp_path: Path) -> None:
     files = definition_files(body, "copy")
     assert {"copy.json", "copy/rig.json", "copy/shapes.glb", "copy/clips/bend.json", "copy/layers/collision.json"} <= set(files)
-    found = read_back(tmp_path / "there", files, "copy.json")
-    same(body, found)
-    assert found.metadata["size"] == Typed("float", 2) and found.clips["sheared"].shear is not None
-    again = definition_files(found, "copy")
+    definition = read_back(tmp_path / "there", files, "copy.json")
+    same(body, definition)
+    assert definition.metadata["size"] == Typed("float", 2) and definition.clips["sheared"].shear is not None
+    again = definition_files(definition, "copy")
     assert {name for name in files if again[name] != files[name]} <= {"copy/clips/bend.json"}, "angles, to the last digits"
 
 
@@ -111,8 +111,8 @@ def posed(body: Definition, clip: str, turns: list[float]) -> dict[str, np.ndarr
     """The points of each shape by the joint that it is bound to, in metres, +x ahead, +y up."""
     worn = PosedBody(body, ((clip, ""),))
     one, n = np.ones(len(turns), np.float32), len(turns)
-    before = np.full(n, -1, np.int16)
-    machine = MachineClips(np.zeros(n, np.int16), np.array(turns, np.float32), one, before, one * 0, one * 0, one * 0)
+    previous_clip = np.full(n, -1, np.int16)
+    machine = MachineClips(np.zeros(n, np.int16), np.array(turns, np.float32), one, previous_clip, one * 0, one * 0, one * 0)
     poses = worn.poses((machine,), n)
     turn = body.base()[:3, :3] * body.length * body.unit / 1000
     return {each.transform: bound(body, each, poses).points @ turn.T for each in worn.bindings}
@@ -128,23 +128,23 @@ def test_walker_is_written_both_ways_and_poses_are_the_same(tmp_path: Path) -> N
     assert notes == ["transform groups are left out: glTF has none"]
     scene = Scene(data)
     scene.check()
-    found = read_back(tmp_path / "gltf", {"w.glb": data}, "w.glb", rate=30.0)
+    definition = read_back(tmp_path / "gltf", {"w.glb": data}, "w.glb", rate=30.0)
     assert (
-        found.rig.names == body.rig.names
-        and {name: found.materials[name] for name in body.materials} == body.materials
-        and set(found.clips) == set(body.clips)
+        definition.rig.names == body.rig.names
+        and {name: definition.materials[name] for name in body.materials} == body.materials
+        and set(definition.clips) == set(body.clips)
     )
-    assert found.unit == 1000 and found.clips["walk"].duration == pytest.approx(body.clips["walk"].duration)
+    assert definition.unit == 1000 and definition.clips["walk"].duration == pytest.approx(body.clips["walk"].duration)
     turns = [0.0, 0.25, 0.5, 0.75, 0.99]
-    mine, other = posed(body, "walk", turns), posed(found, "walk", turns)
+    mine, other = posed(body, "walk", turns), posed(definition, "walk", turns)
     assert set(mine) == set(other) == set(body.rig.names)
     for joint, points in mine.items():
         assert points.shape == other[joint].shape and np.abs(points - other[joint]).max() < 1e-5, "metres"
 
 
-def test_what_gltf_does_not_have_is_told_and_the_rest_is_the_same(body: Definition, tmp_path: Path) -> None:
+def test_what_gltf_lacks_is_reported_and_the_rest_is_the_same(body: Definition, tmp_path: Path) -> None:
     data, notes = write_gltf(body, body.layers["shown"], text=True)
-    told = "; ".join(notes)
+    note_text = "; ".join(notes)
     for words in (
         "layer `collision`",
         "metadata",
@@ -155,7 +155,7 @@ def test_what_gltf_does_not_have_is_told_and_the_rest_is_the_same(body: Definiti
         "weigh no morph",
         "legs and gaits",
     ):
-        assert words in told, told
+        assert words in note_text, note_text
     scene = Scene(data)
     scene.check()
     names = [node.get("name") for node in scene.tree["nodes"]]
@@ -192,14 +192,16 @@ def test_bodies_of_the_library_are_written(word: str, tmp_path: Path) -> None:
                 s.faces[s.material == s.materials.index(each)] if s.material is not None else s.faces for s in (shape, other)
             )
             assert np.array_equal(mine, theirs), "by material"
-    done = run("body", word, "--to", f"{word}.glb", "--layer", "body", cwd=tmp_path)
-    assert done.returncode == 0, done.stderr
+    result = run("body", word, "--to", f"{word}.glb", "--layer", "body", cwd=tmp_path)
+    assert result.returncode == 0, result.stderr
     scene = Scene((tmp_path / f"{word}.glb").read_bytes())
     scene.check()
-    found, _ = read_definition(tmp_path / f"{word}.glb", rate=body.clips["walk"].rate)
-    assert found is not None and set(found.clips) == set(body.clips) and len(found.rig.names) >= len(body.rig.names)
+    definition, _ = read_definition(tmp_path / f"{word}.glb", rate=body.clips["walk"].rate)
+    assert (
+        definition is not None and set(definition.clips) == set(body.clips) and len(definition.rig.names) >= len(body.rig.names)
+    )
     turns = [0.0, 0.3, 0.8]
-    mine, other = posed(body, "walk", turns), posed(found, "walk", turns)
+    mine, other = posed(body, "walk", turns), posed(definition, "walk", turns)
     again = posed(own, "walk", turns)
     for joint in mine:
         assert np.abs(mine[joint] - again[joint]).max() < 1e-6 * body.length
@@ -209,17 +211,17 @@ def test_bodies_of_the_library_are_written(word: str, tmp_path: Path) -> None:
 def test_the_command_writes_and_refuses(tmp_path: Path) -> None:
     for name in ("walker.json", "parts.glb"):
         shutil.copy(EXAMPLE / name, tmp_path / name)
-    done = run("body", "walker.json", "--to", "copy.json", "-q", cwd=tmp_path)
-    assert done.returncode == 0 and done.stdout == "" and (tmp_path / "copy/clips/walk.json").is_file()
+    result = run("body", "walker.json", "--to", "copy.json", "-q", cwd=tmp_path)
+    assert result.returncode == 0 and result.stdout == "" and (tmp_path / "copy/clips/walk.json").is_file()
     assert run("body", "copy.json", cwd=tmp_path).stdout == run("body", "walker.json", cwd=tmp_path).stdout
-    done = run("body", "walker.json", "--to", "walker.glb", cwd=tmp_path)
-    assert "note: transform groups are left out" in done.stdout and "walker.glb" in done.stdout
-    before = (tmp_path / "walker.json").read_bytes()
-    for words, told in (
+    result = run("body", "walker.json", "--to", "walker.glb", cwd=tmp_path)
+    assert "note: transform groups are left out" in result.stdout and "walker.glb" in result.stdout
+    original_bytes = (tmp_path / "walker.json").read_bytes()
+    for words, message in (
         (("walker.json",), "is read here"),
         (("a.fbx",), ".gltf"),
         (("a.glb", "--layer", "hat"), "no layer `hat`"),
     ):
-        done = run("body", "walker.json", "--to", *words, cwd=tmp_path)
-        assert done.returncode == 2 and told in done.stderr.replace("\n", " "), done.stderr
-    assert (tmp_path / "walker.json").read_bytes() == before
+        result = run("body", "walker.json", "--to", *words, cwd=tmp_path)
+        assert result.returncode == 2 and message in result.stderr.replace("\n", " "), result.stderr
+    assert (tmp_path / "walker.json").read_bytes() == original_bytes

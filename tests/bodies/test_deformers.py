@@ -135,8 +135,8 @@ FACE = Shape(
 )  # fmt: skip
 
 
-def moved(name: str, *points: tuple[float, float, float], ids: tuple[int, ...] = (), **more: Any) -> Shape:
-    return Shape(name, np.array(points, np.float32), FACES, attributes={"id": np.array(ids)} if ids else {}, **more)
+def moved(name: str, *points: tuple[float, float, float], ids: tuple[int, ...] = (), **fields: Any) -> Shape:
+    return Shape(name, np.array(points, np.float32), FACES, attributes={"id": np.array(ids)} if ids else {}, **fields)
 
 
 SMILE = moved("smile", (0, 1, 0), (1, 2, 0), (2, 3, 0))
@@ -280,8 +280,8 @@ def test_a_static_shape_goes_as_its_joint_goes() -> None:
 def test_a_deformer_of_ones_own_is_used_by_its_name_alone_and_after_others(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(deformers, "DEFORMERS", dict(DEFORMERS))
 
-    def swell(given: Deformed, shape: Shape, definition: Definition, poses: Poses) -> Deformed:
-        return Deformed(given.points * (1 + poses.channels[:, :1, None]), given.normals, given.attributes)
+    def swell(deformed: Deformed, shape: Shape, definition: Definition, poses: Poses) -> Deformed:
+        return Deformed(deformed.points * (1 + poses.channels[:, :1, None]), deformed.normals, deformed.attributes)
 
     register("swell", swell)
     built = replace(
@@ -318,7 +318,7 @@ def test_shapes_without_what_a_deformer_needs_are_refused() -> None:
 
 
 @pytest.mark.parametrize("name", ["", "linearskinning", "dualquatskinning", "dualquatblendskinning"])
-def test_an_agent_is_deformed_alike_whoever_else_is_there(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_agent_is_deformed_alike_whatever_other_agents_there_are(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     built, poses = skinned(scales=True)
     binding = Binding("" if name else "j3", "body", deformer=name)
     total = bound(built, binding, poses)

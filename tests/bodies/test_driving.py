@@ -14,31 +14,31 @@ from antdsl.bodies.agents.poses import clip_table
 
 JOINTS = {"root": "", "neck": "root", "head": "neck", "jaw": "head", "tail": "root"}
 REST = {"neck": matrix((1, 0, 0)), "head": matrix((1, 0, 0)), "jaw": matrix((1, 0, 0)), "tail": matrix((-1, 0, 0))}
-WAY = np.array([[np.cos(np.radians(40)), 0, np.sin(np.radians(40))]], np.float32)  # 40 degrees to the right
+DIRECTION = np.array([[np.cos(np.radians(40)), 0, np.sin(np.radians(40))]], np.float32)  # 40 degrees to the right
 
 
-def turned(*members: tuple[str, float], look: np.ndarray = WAY) -> dict[str, tuple[float, float, float]]:
+def turned(*members: tuple[str, float], look: np.ndarray = DIRECTION) -> dict[str, tuple[float, float, float]]:
     """Of each joint how far it looks aside in degrees, and its place along x and z."""
     body = definition(JOINTS, rest=REST)
     table = clip_table(body)
     poses = posed(table, {}, machines_playing(table, (), [], 1))
-    found = with_looks(table, poses, {"part": look}, {"part": TransformGroup("part", members)}, np.eye(3)).world[0]
+    matrices = with_looks(table, poses, {"part": look}, {"part": TransformGroup("part", members)}, np.eye(3)).world[0]
     return {
         name: (float(np.degrees(np.arctan2(m[2, 0], m[0, 0]))), float(m[0, 3]), float(m[2, 3]))
-        for name, m in zip(JOINTS, found, strict=True)
+        for name, m in zip(JOINTS, matrices, strict=True)
     }
 
 
 def test_a_joint_turns_with_all_that_hangs_on_it_about_its_own_place() -> None:
-    found = turned(("head", 1.0))
-    assert [found[name][0] for name in JOINTS] == pytest.approx([0, 0, 40, 40, 0], abs=1e-4)
-    assert found["head"][1:] == (2, 0) and found["tail"][1:] == (-1, 0)
-    assert found["jaw"][1:] == pytest.approx((2 + WAY[0, 0], WAY[0, 2]), abs=1e-6)
+    joint_states = turned(("head", 1.0))
+    assert [joint_states[name][0] for name in JOINTS] == pytest.approx([0, 0, 40, 40, 0], abs=1e-4)
+    assert joint_states["head"][1:] == (2, 0) and joint_states["tail"][1:] == (-1, 0)
+    assert joint_states["jaw"][1:] == pytest.approx((2 + DIRECTION[0, 0], DIRECTION[0, 2]), abs=1e-6)
 
 
 def test_joints_that_hang_on_each_other_share_the_way() -> None:
-    found = turned(("neck", 0.5), ("head", 0.5))
-    assert [found[name][0] for name in JOINTS] == pytest.approx([0, 20, 40, 40, 0], abs=0.2)
+    joint_states = turned(("neck", 0.5), ("head", 0.5))
+    assert [joint_states[name][0] for name in JOINTS] == pytest.approx([0, 20, 40, 40, 0], abs=0.2)
     half = turned(("neck", 0.25))
     assert 9 < half["head"][0] < 11
 
@@ -49,5 +49,5 @@ def test_what_hangs_on_a_joint_that_has_turned_the_whole_way_turns_no_further() 
 
 
 def test_who_looks_straight_back_or_nowhere_is_left_alone() -> None:
-    for way in ((-1, 0, 0), (1, 0, 0)):
-        assert turned(("head", 1.0), look=np.array([way], np.float32))["jaw"] == (0, 3, 0)
+    for direction in ((-1, 0, 0), (1, 0, 0)):
+        assert turned(("head", 1.0), look=np.array([direction], np.float32))["jaw"] == (0, 3, 0)

@@ -79,11 +79,11 @@ def test_values_may_lie_between_others_and_stand_for_shares() -> None:
     assert shape.capture.weights == pytest.approx(np.array([[1, 0], [1, 0], [0.2, 0.8]]))
 
 
-def test_a_texture_is_told_to_be_left_out() -> None:
+def test_a_texture_is_reported_as_left_out() -> None:
     tree, data = gltf_bodies.arm()
     tree["materials"][0]["pbrMetallicRoughness"]["baseColorTexture"] = {"index": 0}
-    _, told = read_gltf(gltf_bodies.binary(tree, data), "arm", nothing_beside, 20.0)
-    assert told == ["the texture of `shell` is not read, its base colour is"]
+    _, notes = read_gltf(gltf_bodies.binary(tree, data), "arm", nothing_beside, 20.0)
+    assert notes == ["the texture of `shell` is not read, its base colour is"]
 
 
 def test_a_morph_target_is_a_shape_to_blend_with(arm: Definition) -> None:
@@ -172,12 +172,12 @@ def test_text_and_binary_say_the_same_and_buffers_may_lie_beside(arm: Definition
     (tmp_path / "parts").mkdir()
     (tmp_path / "parts" / "my arm.bin").write_bytes(data)
     for name in ("inside.gltf", "beside.gltf"):
-        found, report = read_definition(tmp_path / name)
-        assert found is not None and not report.diagnostics, report.diagnostics
-        assert (found.shapes["arm"].points == arm.shapes["arm"].points).all() and found.length == 1.0
+        definition, report = read_definition(tmp_path / name)
+        assert definition is not None and not report.diagnostics, report.diagnostics
+        assert (definition.shapes["arm"].points == arm.shapes["arm"].points).all() and definition.length == 1.0
     (tmp_path / "beside.gltf").write_text(json.dumps({**tree, "buffers": [{"byteLength": 4, "uri": "../arm.bin"}]}))
-    found, report = read_definition(tmp_path / "beside.gltf")
-    assert found is None and [each.code for each in report.errors] == ["bad-path"]
+    definition, report = read_definition(tmp_path / "beside.gltf")
+    assert definition is None and [each.code for each in report.errors] == ["bad-path"]
 
 
 def test_strips_fans_shared_meshes_and_mirrored_nodes() -> None:
@@ -185,23 +185,23 @@ def test_strips_fans_shared_meshes_and_mirrored_nodes() -> None:
     corners = writer.add([[0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0], [0, 2, 0]])
     primitives = [{"attributes": {"POSITION": corners}, "mode": mode} for mode in (5, 6)]
     nodes = [{"name": "a", "mesh": 0}, {"name": "a", "mesh": 0, "scale": [-1, 1, 1]}]
-    found = body_of(writer.tree({"nodes": nodes, "meshes": [{"primitives": primitives}]}), bytes(writer.data))
-    shape = found.shapes["a"]
+    definition = body_of(writer.tree({"nodes": nodes, "meshes": [{"primitives": primitives}]}), bytes(writer.data))
+    shape = definition.shapes["a"]
     assert shape.faces.tolist() == [[0, 1, 2], [2, 1, 3], [2, 3, 4], [1, 2, 0], [2, 3, 0], [3, 4, 0]]
-    assert found.rig.names == ("a", "a_2") and found.rig.rest[1, 0, 0] == -1
-    assert found.layers["body"].static == (Binding("a", "a"), Binding("a_2", "a"))
+    assert definition.rig.names == ("a", "a_2") and definition.rig.rest[1, 0, 0] == -1
+    assert definition.layers["body"].static == (Binding("a", "a"), Binding("a_2", "a"))
 
 
 def test_a_mesh_with_morph_targets_at_a_node_is_blended_and_follows_that_node() -> None:
     tree, data = gltf_bodies.arm()
     tree["nodes"] = [{"name": "stand", "translation": [0, 7, 0], "mesh": 0, "weights": [0.5]}]
     tree |= {"skins": [], "animations": [], "scenes": [{"nodes": [0]}]}
-    found = body_of(tree, data)
-    assert found.layers["body"].deforming == (Binding("", "arm", deformer="blendshape+linearskinning"),)
-    capture = found.shapes["arm"].capture
+    definition = body_of(tree, data)
+    assert definition.layers["body"].deforming == (Binding("", "arm", deformer="blendshape+linearskinning"),)
+    capture = definition.shapes["arm"].capture
     assert capture is not None and capture.names == ("stand",) and (capture.weights == 1).all()
-    assert [part.tolist() for part in rest_box(found)] == [[0, 7, 0], [1, 11, 1]]
-    assert found.rig.channels[0].default == 0.5
+    assert [part.tolist() for part in rest_box(definition)] == [[0, 7, 0], [1, 11, 1]]
+    assert definition.rig.channels[0].default == 0.5
 
 
 def changed(change: Any) -> str:
@@ -233,7 +233,7 @@ def changed(change: Any) -> str:
         (lambda t: t.update(nodes=[]), "names `node`"),
     ],
 )
-def test_what_does_not_fit_together_is_told(change: Any, words: str) -> None:
+def test_what_does_not_fit_together_is_reported(change: Any, words: str) -> None:
     assert words in changed(change)
 
 
@@ -251,12 +251,12 @@ ODD: tuple[Any, ...] = (
 )  # fmt: skip
 
 
-def spots(tree: Any, found: list[tuple[Any, Any]]) -> list[tuple[Any, Any]]:
+def spots(tree: Any, entries: list[tuple[Any, Any]]) -> list[tuple[Any, Any]]:
     """Every place of a tree as (holder, key)."""
     for key in list(tree) if isinstance(tree, dict) else range(len(tree)) if isinstance(tree, list) else ():
-        found.append((tree, key))
-        spots(tree[key], found)
-    return found
+        entries.append((tree, key))
+        spots(tree[key], entries)
+    return entries
 
 
 def damaged(draw: random.Random, tree: dict[str, Any], data: bytes) -> bytes:
@@ -270,36 +270,36 @@ def damaged(draw: random.Random, tree: dict[str, Any], data: bytes) -> bytes:
             holder.append(copy.deepcopy(holder[key]))
         else:
             holder[key] = copy.deepcopy(draw.choice(ODD))
-    made = bytearray(gltf_bodies.binary(tree, data))
+    contents = bytearray(gltf_bodies.binary(tree, data))
     for _ in range(draw.choice([0, 0, 20])):
-        made[draw.randrange(len(made) - len(data), len(made))] = draw.randrange(256)
-    return bytes(made[: draw.randrange(len(made))] if draw.random() < 0.1 else made)
+        contents[draw.randrange(len(contents) - len(data), len(contents))] = draw.randrange(256)
+    return bytes(contents[: draw.randrange(len(contents))] if draw.random() < 0.1 else contents)
 
 
-def test_damaged_files_are_read_or_told_of() -> None:
+def test_damaged_files_are_read_or_reported() -> None:
     read = 0
     for seed in range(400):
         try:
-            found, _ = read_gltf(damaged(random.Random(seed), *gltf_bodies.arm()), "arm", nothing_beside, 20.0)
+            definition, _ = read_gltf(damaged(random.Random(seed), *gltf_bodies.arm()), "arm", nothing_beside, 20.0)
         except (BodyError, PathRefused):
             continue
         read += 1
-        for shape in found.shapes.values():
+        for shape in definition.shapes.values():
             assert np.isfinite(shape.points).all() and (shape.faces < len(shape.points)).all()
-        for clip in found.clips.values():
+        for clip in definition.clips.values():
             assert np.isfinite(clip.translation).all() and np.isfinite(clip.rotation).all() and np.isfinite(clip.values).all()
     assert 50 < read < 350
 
 
 def test_a_binary_file_that_lies_about_its_size_is_refused(tmp_path: Path) -> None:
     tree, data = gltf_bodies.arm()
-    whole = gltf_bodies.binary(tree, data)
-    for made in (
-        whole[:-8],
-        whole[:15],
-        whole[:8] + struct.pack("<I", 2**31) + whole[12:],
-        whole[:12] + b"\xff" * 8 + whole[20:],
+    complete_file = gltf_bodies.binary(tree, data)
+    for contents in (
+        complete_file[:-8],
+        complete_file[:15],
+        complete_file[:8] + struct.pack("<I", 2**31) + complete_file[12:],
+        complete_file[:12] + b"\xff" * 8 + complete_file[20:],
     ):
-        (tmp_path / "arm.glb").write_bytes(made)
-        found, report = read_definition(tmp_path / "arm.glb")
-        assert found is None and [each.code for each in report.errors] == ["bad-body"]
+        (tmp_path / "arm.glb").write_bytes(contents)
+        definition, report = read_definition(tmp_path / "arm.glb")
+        assert definition is None and [each.code for each in report.errors] == ["bad-body"]

@@ -37,8 +37,8 @@ VALUES = st.recursive(
 
 @given(VALUES, st.sampled_from([None, 2, "\t"]), st.booleans())
 def test_it_reads_what_the_standard_library_writes(value: Any, indent: Any, ascii_only: bool) -> None:
-    found = read(json.dumps(value, indent=indent, ensure_ascii=ascii_only))
-    assert found == value and json.dumps(found) == json.dumps(value)  # a whole number stays one
+    result = read(json.dumps(value, indent=indent, ensure_ascii=ascii_only))
+    assert result == value and json.dumps(result) == json.dumps(value)  # a whole number stays one
 
 
 def test_a_comma_too_many_and_comments_are_passed_over() -> None:
@@ -85,12 +85,12 @@ def test_values_have_their_places() -> None:
         ("[" * 70 + "]" * 70, "too-large", "[", None),
     ],
 )
-def test_what_is_wrong_is_told_at_its_place(text: str, code: str, marked: str, help: str | None) -> None:
+def test_mistakes_are_reported_at_their_place(text: str, code: str, marked: str, help: str | None) -> None:
     node, report = read_json(Source("x.json", text), "a rig")
     assert node is None
-    (found,) = report.diagnostics
-    assert found.span is not None
-    assert (found.code, found.span.text, found.help) == (code, marked, help), found
+    (diagnostic,) = report.diagnostics
+    assert diagnostic.span is not None
+    assert (diagnostic.code, diagnostic.span.text, diagnostic.help) == (code, marked, help), diagnostic
 
 
 def test_values_are_counted_as_they_come(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -101,12 +101,12 @@ def test_values_are_counted_as_they_come(monkeypatch: pytest.MonkeyPatch) -> Non
 
 
 @given(st.text(alphabet='{}[]",:/*\\ntrue 0123.eE+-aN\n') | st.text())
-def test_any_text_is_read_or_told_of(text: str) -> None:
+def test_any_text_is_read_or_reported(text: str) -> None:
     node, report = read_json(Source("x.json", text), "a rig")
     assert (node is None) == bool(report.diagnostics)
     try:
-        wanted = json.loads(text, parse_constant=lambda word: 1 / 0)
+        expected = json.loads(text, parse_constant=lambda word: 1 / 0)
     except (ValueError, ZeroDivisionError, RecursionError):
         return
     if node is not None:
-        assert plain(node) == wanted
+        assert plain(node) == expected

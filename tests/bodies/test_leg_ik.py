@@ -24,9 +24,9 @@ N = 40
 
 @pytest.fixture(scope="module", params=[2, 4, 6, 8])
 def body(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Definition:
-    found, report = read_definition(stick_bodies.write_body(tmp_path_factory.mktemp("body"), request.param))
-    assert found is not None, report
-    return found
+    definition, report = read_definition(stick_bodies.write_body(tmp_path_factory.mktemp("body"), request.param))
+    assert definition is not None, report
+    return definition
 
 
 def rest(body: Definition, count: int = N) -> Poses:
@@ -56,48 +56,50 @@ def test_feet_that_stand_are_where_they_are_to_be(body: Definition) -> None:
     tilt = lean / np.linalg.norm(lean, axis=1, keepdims=True)
     for feet in (feet_near(body, 0.12), feet_near(body, 0.1, tilt=tilt, rise=np.full(N, -0.1, np.float32))):
         legs, own = Legs(body), legs_of(body)
-        bent = joints(body, legs.bent(rest(body), feet, np.ones(N, np.float32)))
+        bent_joints = joints(body, legs.bend_legs(rest(body), feet, np.ones(N, np.float32)))
         for k, leg in enumerate(body.legs):
             goal = feet.place[:, k] + np.array([0, own.foot[k, 1], 0])
-            foot = bent[:, body.rig.joint(leg.foot)]
+            foot = bent_joints[:, body.rig.joint(leg.foot)]
             assert np.abs(np.linalg.norm(foot - goal, axis=1)).max() < 1e-3 * own.length[k]
 
 
 def test_bones_keep_their_lengths_knees_their_side_and_soles_their_turn(body: Definition) -> None:
     feet = feet_near(body, 0.25)
-    before = rest(body)
-    after = Legs(body).bent(before, feet, np.ones(N, np.float32))
-    was, now = joints(body, before), joints(body, after)
+    rest_poses = rest(body)
+    bent_poses = Legs(body).bend_legs(rest_poses, feet, np.ones(N, np.float32))
+    was, now = joints(body, rest_poses), joints(body, bent_poses)
     for leg in body.legs:
         hip, knee, foot = (body.rig.joint(name) for name in (leg.upper, leg.lower, leg.foot))
         for a, b in ((hip, knee), (knee, foot)):
             assert np.allclose(
                 np.linalg.norm(now[:, a] - now[:, b], axis=1), np.linalg.norm(was[:, a] - was[:, b], axis=1), atol=1e-5
             )
-        way = [np.cross(p[:, hip] - p[:, knee], p[:, foot] - p[:, knee]) for p in (was, now)]
-        sides = (way[0] * way[1]).sum(axis=1) / (np.linalg.norm(way[0], axis=1) * np.linalg.norm(way[1], axis=1))
+        bend_axes = [np.cross(p[:, hip] - p[:, knee], p[:, foot] - p[:, knee]) for p in (was, now)]
+        sides = (bend_axes[0] * bend_axes[1]).sum(axis=1) / (
+            np.linalg.norm(bend_axes[0], axis=1) * np.linalg.norm(bend_axes[1], axis=1)
+        )
         assert sides.min() > 0.2  # no knee has gone through
-        assert np.array_equal(before.world[:, foot, :, :3], after.world[:, foot, :, :3])
+        assert np.array_equal(rest_poses.world[:, foot, :, :3], bent_poses.world[:, foot, :, :3])
 
 
 def test_a_goal_out_of_reach_is_gone_towards_and_a_straight_leg_bends_to_the_front(tmp_path: Path) -> None:
-    found, _ = read_definition(stick_bodies.write_body(tmp_path, 2))
-    assert found is not None
-    far = feet_near(found, 0.0, rise=np.zeros(N, np.float32))
+    definition, _ = read_definition(stick_bodies.write_body(tmp_path, 2))
+    assert definition is not None
+    far = feet_near(definition, 0.0, rise=np.zeros(N, np.float32))
     far = replace(far, place=far.place + np.array([2, -1, 0], np.float32), down=np.zeros_like(far.down))
-    poses = Legs(found).bent(rest(found), far, np.ones(N, np.float32))
-    now = joints(found, poses)
-    hip, knee, foot = (now[0, found.rig.joint(f"{part}_left_0")] for part in ("thigh", "shank", "foot"))
+    poses = Legs(definition).bend_legs(rest(definition), far, np.ones(N, np.float32))
+    now = joints(definition, poses)
+    hip, knee, foot = (now[0, definition.rig.joint(f"{part}_left_0")] for part in ("thigh", "shank", "foot"))
     bones = np.linalg.norm(knee - hip) + np.linalg.norm(foot - knee)
     assert 0.995 * bones < np.linalg.norm(foot - hip) <= bones and np.isfinite(now).all()
     assert np.dot(foot - hip, (2, -1.5, 0)) > 0.9 * bones * np.linalg.norm((2, -1.5, 0))
     # A rest pose with a straight leg: its knee goes ahead, the way that the body looks.
-    straight = found.rig.rest.copy()
-    straight[found.rig.joint("shank_left_0"), :3, 3] = (0, -0.25, 0)
-    straight[found.rig.joint("foot_left_0"), :3, 3] = (0, -0.25, 0)
-    stiff = replace(found, rig=replace(found.rig, rest=straight))
+    straight = definition.rig.rest.copy()
+    straight[definition.rig.joint("shank_left_0"), :3, 3] = (0, -0.25, 0)
+    straight[definition.rig.joint("foot_left_0"), :3, 3] = (0, -0.25, 0)
+    stiff = replace(definition, rig=replace(definition.rig, rest=straight))
     low = feet_near(stiff, 0.0, rise=np.full(N, -0.1, np.float32))
-    now = joints(stiff, Legs(stiff).bent(rest(stiff), low, np.ones(N, np.float32)))
+    now = joints(stiff, Legs(stiff).bend_legs(rest(stiff), low, np.ones(N, np.float32)))
     knee = now[0, stiff.rig.joint("shank_left_0")]
     assert knee[0] > now[0, stiff.rig.joint("thigh_left_0"), 0] + 0.05
 
@@ -107,19 +109,19 @@ def test_a_clip_that_leaves_feet_free_has_its_own_legs_as_much_as_it_weighs(body
     body = replace(body, clips={"stand": standing, "groom": replace(standing, name="groom", feet=False)})
     legs, played = Legs(body), (("stand", ""), ("groom", ""))
 
-    def machine(clip: int, before: int, fade: float, weight: float = 1.0) -> MachineClips:
+    def machine(clip: int, previous_clip: int, fade: float, weight: float = 1.0) -> MachineClips:
         ones, numbers = np.ones(N, np.float32), np.ones(N, np.int16)
         return MachineClips(
-            numbers * np.int16(clip), ones * 0, ones * weight, numbers * np.int16(before), ones * 0, ones, ones * fade
+            numbers * np.int16(clip), ones * 0, ones * weight, numbers * np.int16(previous_clip), ones * 0, ones, ones * fade
         )
 
-    for machines, wanted in (
+    for machines, expected in (
         ((), 1.0), ((machine(0, -1, 0),), 1.0), ((machine(1, -1, 0),), 0.0), ((machine(1, 0, 0.25),), 0.25),
         ((machine(0, -1, 0), machine(1, -1, 0, 0.5)), 0.5), ((machine(1, -1, 0), machine(0, -1, 0)), 1.0),
     ):  # fmt: skip
-        assert np.allclose(legs.kept(played, machines, N), wanted)
+        assert np.allclose(legs.stance_weights(played, machines, N), expected)
     feet = feet_near(body, 0.2)
-    free = legs.bent(rest(body), feet.less(np.zeros(N, np.float32)), np.zeros(N, np.float32))
+    free = legs.bend_legs(rest(body), feet.scale_trunk(np.zeros(N, np.float32)), np.zeros(N, np.float32))
     assert np.allclose(free.world, rest(body).world, atol=1e-5)
 
 
@@ -129,9 +131,9 @@ def test_feet_beside_bodies_are_as_placed_ones_seen_from_them() -> None:
     local = rng.normal(size=(5, 6, 3))
     placed = position[:, None] + (local * scale[:, None, None]) @ np.swapaxes(rotation(orient), 1, 2)
     ones = np.ones(5, np.float32)
-    given = PlacedFeet(
+    placed_feet = PlacedFeet(
         placed.astype(np.float32), np.ones((5, 6), np.uint8), ones, ones, np.tile(np.float32([0, 0, 0, 1]), (5, 1))
     )
-    beside = given.beside(position, orient, scale)
+    beside = placed_feet.beside(position, orient, scale)
     assert np.allclose(beside.place, local, atol=1e-5) and np.allclose(beside.rise, 1 / scale)
-    assert np.array_equal(given.rows(np.array([2])).P, given.P[2:3])
+    assert np.array_equal(placed_feet.rows(np.array([2])).P, placed_feet.P[2:3])

@@ -11,7 +11,7 @@ from antdsl import resources
 from antdsl.bodies.agents.definition import Definition, Shape
 from antdsl.bodies.agents.deformers import DEFORMERS
 from antdsl.bodies.agents.machine_clips import MachineClips
-from antdsl.bodies.files.definition_checks import whole
+from antdsl.bodies.files.definition_checks import check_definition
 from antdsl.bodies.files.definition_document import Parts
 from antdsl.bodies.library import library_body
 from antdsl.bodies.posed_body import PosedBody
@@ -41,7 +41,7 @@ def open_edges(shape: Shape) -> int:
 def test_shapes_are_closed_textured_and_follow_joints(word: str) -> None:
     body = library_body(word)
     report = Report()
-    assert whole(Parts(body), report) is not None and not report.sorted(), str(report)
+    assert check_definition(Parts(body), report) is not None and not report.sorted(), str(report)
     for shape in shapes(word):
         assert open_edges(shape) == 0, shape.name
         corners = shape.points[shape.faces].astype(np.float64)
@@ -130,10 +130,10 @@ def test_feet_on_the_ground_stay_where_they_are(word: str) -> None:
     body = library_body(word)
     for name, clip in body.clips.items():
         if clip.stride:
-            feet, gone = feet_in(body, name)
+            feet, distances = feet_in(body, name)
             assert feet[:, :, 1].min() > -0.02
             down = (feet[:-1, :, 1] < 3e-6) & (feet[1:, :, 1] < 3e-6)
-            slid = np.abs(np.diff(feet[:, :, 0] + gone[:, None], axis=0))
+            slid = np.abs(np.diff(feet[:, :, 0] + distances[:, None], axis=0))
             assert down.mean() > 0.15 and slid[down].max() < 1e-4, name
 
 

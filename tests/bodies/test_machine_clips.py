@@ -23,17 +23,19 @@ BODY = replace(
 CLIPS = (("low", ""), ("high", ""), ("high", "arms"), ("high", "half"), ("gone", ""))
 
 
-def machine(clip: int, weight: float = 1.0, before: int = -1, before_weight: float = 1.0, fade: float = 0.0) -> MachineClips:
-    numbers = np.array([clip], np.int16), np.array([before], np.int16)
-    floats = [np.array([x], np.float32) for x in (0.0, weight, 0.0, before_weight, fade)]
+def machine(
+    clip: int, weight: float = 1.0, previous_clip: int = -1, previous_weight: float = 1.0, fade: float = 0.0
+) -> MachineClips:
+    numbers = np.array([clip], np.int16), np.array([previous_clip], np.int16)
+    floats = [np.array([x], np.float32) for x in (0.0, weight, 0.0, previous_weight, fade)]
     return MachineClips(numbers[0], floats[0], floats[1], numbers[1], floats[2], floats[3], floats[4])
 
 
 def heights(*machines: MachineClips) -> list[float]:
     """Of trunk, arm and leg."""
     table = clip_table(BODY)
-    found = posed(table, BODY.groups, machines_playing(table, CLIPS, machines, 1)).world
-    return [float(y) for y in found[0, :, 1, 3]]
+    matrices = posed(table, BODY.groups, machines_playing(table, CLIPS, machines, 1)).world
+    return [float(y) for y in matrices[0, :, 1, 3]]
 
 
 @pytest.mark.parametrize(
@@ -49,11 +51,11 @@ def heights(*machines: MachineClips) -> list[float]:
         ([machine(0), machine(3)], [1, 2, 3]),  # a joint that is half in the group
         ([machine(2), machine(0)], [1, 1, 1]),  # the later one lies over
         ([machine(0), machine(-1)], [1, 1, 1]),
-        ([machine(1, before=0, fade=0.25)], [2.5, 2.5, 2.5]),
-        ([machine(0), machine(-1, before=2, fade=0.5)], [1, 2, 1]),  # gives way to none, and shows what is below
+        ([machine(1, previous_clip=0, fade=0.25)], [2.5, 2.5, 2.5]),
+        ([machine(0), machine(-1, previous_clip=2, fade=0.5)], [1, 2, 1]),  # gives way to none, and shows what is below
         ([machine(0), machine(2, fade=0.5)], [1, 2, 1]),  # comes from none
-        ([machine(0), machine(2, before=1, fade=0.5)], [2, 3, 2]),  # whole before, the arms now
-        ([machine(1, weight=0.5, before=0, before_weight=1, fade=0.5)], [(0.5 * 1 + 0.25 * 3)] * 3),
+        ([machine(0), machine(2, previous_clip=1, fade=0.5)], [2, 3, 2]),  # whole before, the arms now
+        ([machine(1, weight=0.5, previous_clip=0, previous_weight=1, fade=0.5)], [(0.5 * 1 + 0.25 * 3)] * 3),
         ([machine(0), machine(2), machine(2)], [1, 3, 1]),
     ],
 )  # fmt: skip
@@ -65,8 +67,10 @@ def test_rotations_go_over_by_the_shorter_way() -> None:
     clips = [still(name, {"trunk": {"r": [-x for x in turn("z", a)]}}) for name, a in (("a", 0), ("b", 90))]
     body = definition({"trunk": ""}, *clips)
     table = clip_table(body)
-    found = posed(table, {}, machines_playing(table, (("a", ""), ("b", "")), [machine(0), machine(1, weight=0.5)], 1)).world[0, 0]
-    assert found[:, :3] == pytest.approx(matrix(rotation=turn("z", 45))[:3, :3], abs=1e-6)
+    matrices = posed(table, {}, machines_playing(table, (("a", ""), ("b", "")), [machine(0), machine(1, weight=0.5)], 1)).world[
+        0, 0
+    ]
+    assert matrices[:, :3] == pytest.approx(matrix(rotation=turn("z", 45))[:3, :3], abs=1e-6)
 
 
 def test_turns_are_times_and_who_else_is_there_changes_nothing() -> None:
@@ -77,13 +81,13 @@ def test_turns_are_times_and_who_else_is_there_changes_nothing() -> None:
     clips = (("walk", ""), ("once", ""), ("walk", "arms"))
     clip, turns = np.array([0, 0, 1, 1, 2], np.int16), np.array([0.25, 7.25, 0.5, 1.0, 0.75], np.float32)
     ones, zeros, none = np.ones(5, np.float32), np.zeros(5, np.float32), np.full(5, -1, np.int16)
-    whole = MachineClips(clip, turns, ones, none, zeros, ones, zeros)
-    playing = machines_playing(table, clips, [whole], 5)
+    all_rows = MachineClips(clip, turns, ones, none, zeros, ones, zeros)
+    playing = machines_playing(table, clips, [all_rows], 5)
     assert all(tree.modes[0] == OVER for tree in playing.trees) and len(playing.trees) == 2
     together = posed(table, body.groups, playing).world
     assert together[:, 1, 1, 3] == pytest.approx([0.25, 0.25, 0.5, 1.0, 0.75]) and together[4, 0, 1, 3] == 0
     for k in range(5):
-        alone = posed(table, body.groups, machines_playing(table, clips, [whole.rows(np.array([k]))], 1)).world
+        alone = posed(table, body.groups, machines_playing(table, clips, [all_rows.rows(np.array([k]))], 1)).world
         assert np.array_equal(alone[0], together[k])
 
 
@@ -99,19 +103,19 @@ def test_turns_are_times_and_who_else_is_there_changes_nothing() -> None:
 )
 def test_what_is_added_lies_over_all_others(clips: tuple[Played, ...], wanted: list[float]) -> None:
     table = clip_table(BODY)
-    found = posed(table, BODY.groups, machines_playing(table, clips, [machine(0), machine(1)], 1)).world
-    assert [float(y) for y in found[0, :, 1, 3]] == pytest.approx(wanted, abs=1e-5)
+    matrices = posed(table, BODY.groups, machines_playing(table, clips, [machine(0), machine(1)], 1)).world
+    assert [float(y) for y in matrices[0, :, 1, 3]] == pytest.approx(wanted, abs=1e-5)
 
 
 def test_what_is_added_fades_and_gives_way_to_what_is_not() -> None:
     table, clips = clip_table(BODY), (Played("low"), Played("high", add=True))
     for fade in (0.0, 0.25, 1.0):
-        machines = [machine(0), machine(-1, before=1, fade=fade)]
-        found = posed(table, BODY.groups, machines_playing(table, clips, machines, 1)).world
-        assert float(found[0, 0, 1, 3]) == pytest.approx(1 + 3 * fade, abs=1e-5)
+        machines = [machine(0), machine(-1, previous_clip=1, fade=fade)]
+        matrices = posed(table, BODY.groups, machines_playing(table, clips, machines, 1)).world
+        assert float(matrices[0, 0, 1, 3]) == pytest.approx(1 + 3 * fade, abs=1e-5)
     # over: half of what is added, and half of a walk that lies over the rest
-    found = posed(table, BODY.groups, machines_playing(table, clips, [machine(0, before=1, fade=0.5)], 1)).world
-    assert float(found[0, 0, 1, 3]) == pytest.approx(0.5 + 1.5, abs=1e-5)
+    matrices = posed(table, BODY.groups, machines_playing(table, clips, [machine(0, previous_clip=1, fade=0.5)], 1)).world
+    assert float(matrices[0, 0, 1, 3]) == pytest.approx(0.5 + 1.5, abs=1e-5)
 
 
 @pytest.mark.parametrize(
@@ -133,7 +137,7 @@ def test_clips_give_way_as_an_agent_turns_and_climbs(lean: tuple[float, float], 
     body = replace(definition(JOINTS, LOW, HIGH, zero), groups=BODY.groups)
     table, clips = clip_table(body), (Played("low", left="high", right="zero", up="high"),)
     leans = np.array([lean], np.float32)
-    found = posed(table, body.groups, machines_playing(table, clips, [machine(0)], 1, leans)).world
-    assert float(found[0, 0, 1, 3]) == pytest.approx(height, abs=1e-5)
+    matrices = posed(table, body.groups, machines_playing(table, clips, [machine(0)], 1, leans)).world
+    assert float(matrices[0, 0, 1, 3]) == pytest.approx(height, abs=1e-5)
     pair = machines_playing(table, clips, [machine(0).rows(np.array([0, 0]))], 2, np.array([lean, (0, 0)], np.float32))
     assert [float(y) for y in posed(table, body.groups, pair).world[:, 0, 1, 3]] == pytest.approx([height, 1], abs=1e-5)

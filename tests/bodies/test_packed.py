@@ -30,9 +30,9 @@ def bodies(tmp_path_factory: pytest.TempPathFactory) -> list[Definition]:
     (folder / "arm.glb").write_bytes(gltf_bodies.binary(*gltf_bodies.arm()))
     usd_bodies.write(folder / "body.usda")
     walker = Path(__file__).parents[2] / "examples" / "walker" / "walker.json"
-    found = [read_definition(path) for path in (folder / "arm.glb", folder / "body.usda", walker)]
-    assert all(body is not None for body, _ in found), [str(report) for _, report in found]
-    return [body for body, _ in found if body is not None]
+    results = [read_definition(path) for path in (folder / "arm.glb", folder / "body.usda", walker)]
+    assert all(body is not None for body, _ in results), [str(report) for _, report in results]
+    return [body for body, _ in results if body is not None]
 
 
 def same(a: object, b: object) -> bool:
@@ -69,90 +69,92 @@ def test_legs_gaits_and_the_idle_clip_come_back(bodies: list[Definition]) -> Non
 
 def test_a_definition_comes_back_as_it_was(bodies: list[Definition]) -> None:
     for body in bodies:
-        made = packed(body)
-        assert tuple(made) == PARTS
-        back = unpacked(made)
+        arrays = packed(body)
+        assert tuple(arrays) == PARTS
+        back = unpacked(arrays)
         assert same(body, back) and digest(back) == digest(body)
         assert clip_table(back).samples.tobytes() == clip_table(body).samples.tobytes()
     assert len({digest(body) for body in bodies}) == 3
 
 
 def test_what_is_damaged_is_no_body(bodies: list[Definition]) -> None:
-    made = packed(bodies[0])
+    arrays = packed(bodies[0])
     for part in PARTS:
         with pytest.raises(BodyError):
-            unpacked({name: array for name, array in made.items() if name != part})
-        if part != "text" and made[part].size:
+            unpacked({name: array for name, array in arrays.items() if name != part})
+        if part != "text" and arrays[part].size:
             with pytest.raises(BodyError):
-                unpacked({**made, part: made[part][:-1]})
+                unpacked({**arrays, part: arrays[part][:-1]})
     with pytest.raises(BodyError):
-        unpacked({**made, "i4": np.full_like(made["i4"], 1 << 30)})
+        unpacked({**arrays, "i4": np.full_like(arrays["i4"], 1 << 30)})
     with pytest.raises(BodyError):
-        unpacked({**made, "f4": np.full_like(made["f4"], np.nan)})
+        unpacked({**arrays, "f4": np.full_like(arrays["f4"], np.nan)})
     with pytest.raises(BodyError):
-        unpacked({**made, "f4": made["f4"].astype(np.float64)})
+        unpacked({**arrays, "f4": arrays["f4"].astype(np.float64)})
 
 
 def test_any_change_of_the_text_gives_a_body_or_a_refusal(bodies: list[Definition]) -> None:
     """Values of the document are taken away, made text, negative, huge, or a list: nothing but BodyError comes of it."""
-    made = packed(bodies[2])
-    document = json.loads(made["text"].tobytes())
+    arrays = packed(bodies[2])
+    document = json.loads(arrays["text"].tobytes())
     document["clips"], document["shapes"] = document["clips"][:1], document["shapes"][:1]
     refused = 0
-    places = list(_places(document))
-    for place in places[:: max(1, len(places) // 150)]:
+    paths = list(_paths(document))
+    for place in paths[:: max(1, len(paths) // 150)]:
         for value in (None, "x", -1, 1 << 60, [], {}, 1.5):
-            refused += _refused(made, _changed(document, place, value))
+            refused += _refused(arrays, _changed(document, place, value))
     assert refused > 100
 
 
-def _refused(made: Arrays, document: object) -> bool:
+def _refused(arrays: Arrays, document: object) -> bool:
     try:
-        unpacked({**made, "text": np.frombuffer(json.dumps(document).encode(), np.uint8)})
+        unpacked({**arrays, "text": np.frombuffer(json.dumps(document).encode(), np.uint8)})
     except BodyError:
         return True
     return False
 
 
-def _places(value: object, path: tuple[object, ...] = ()):  # type: ignore[no-untyped-def]
+def _paths(value: object, path: tuple[object, ...] = ()):  # type: ignore[no-untyped-def]
     yield path
     for key, inner in value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else ():
-        yield from _places(inner, (*path, key))
+        yield from _paths(inner, (*path, key))
 
 
 def _changed(document: object, path: tuple[object, ...], value: object) -> object:
     if not path:
         return value
-    made = json.loads(json.dumps(document))
-    inner = made
+    new_document = json.loads(json.dumps(document))
+    inner = new_document
     for key in path[:-1]:
         inner = inner[key]
     inner[path[-1]] = value
-    return made
+    return new_document
 
 
 def test_a_skin_with_morph_targets_is_posed_as_a_body_of_a_crowd(bodies: list[Definition]) -> None:
     """By its deformers, in body lengths with its front ahead; its coarse form by the same without the blending."""
     body = unpacked(packed(bodies[0]))
     clips = tuple((name, "") for name in body.clips)
-    made, one = PosedBody(body, clips), np.ones(1, np.float32)
+    posed_body, one = PosedBody(body, clips), np.ones(1, np.float32)
     plays = [MachineClips(np.zeros(1, np.int16), one / 3, one, np.full(1, -1, np.int16), one * 0, one, one * 0)]
-    points, normals = made.posed(plays, 1)
+    points, normals = posed_body.posed(plays, 1)
     table = clip_table(body)
     poses = posed(table, body.groups, machines_playing(table, clips, plays, 1))
     layer = body.layers["body"]
-    wanted = np.concatenate([bound(body, each, poses).points[0] for each in (*layer.static, *layer.deforming)])
-    wanted = wanted @ body.base()[:3, :3].T
-    assert len(points[0]) and {tuple(p) for p in points[0].round(4)} == {tuple(p) for p in wanted.astype(np.float32).round(4)}
+    expected = np.concatenate([bound(body, each, poses).points[0] for each in (*layer.static, *layer.deforming)])
+    expected = expected @ body.base()[:3, :3].T
+    assert len(points[0]) and {tuple(p) for p in points[0].round(4)} == {tuple(p) for p in expected.astype(np.float32).round(4)}
     assert np.linalg.norm(normals[0], axis=1) == pytest.approx(1, abs=1e-5)
-    rest = made.posed([], 1)[0]
+    rest = posed_body.posed([], 1)[0]
     assert np.abs(rest - points).max() > 1e-3
     # What has no material, or one without a colour, takes that of the state; so does one that is called `state`.
     named = replace(body, materials={name: (0.1, 0.2, 0.3) for shape in body.shapes.values() for name in shape.materials})
     assert (PosedBody(replace(body, materials={}), clips).tint == 1).all()
     bare = {name: replace(shape, materials=(), material=None) for name, shape in body.shapes.items()}
     assert (PosedBody(replace(named, shapes=bare), clips).tint == 1).all()
-    whole = {name: replace(shape, materials=("state",), material=shape.faces[:, 0] * 0) for name, shape in body.shapes.items()}
-    assert (PosedBody(replace(body, shapes=whole, materials={"state": (0.1, 0.2, 0.3)}), clips).tint == 1).all()
-    rough = made.coarse.posed(plays, 1)[0]
+    one_material_shapes = {
+        name: replace(shape, materials=("state",), material=shape.faces[:, 0] * 0) for name, shape in body.shapes.items()
+    }
+    assert (PosedBody(replace(body, shapes=one_material_shapes, materials={"state": (0.1, 0.2, 0.3)}), clips).tint == 1).all()
+    rough = posed_body.coarse.posed(plays, 1)[0]
     assert rough.shape[1] <= points.shape[1] and np.isfinite(rough).all()

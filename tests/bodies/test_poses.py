@@ -33,11 +33,11 @@ def swing(loop: bool = True) -> Definition:
 
 
 def test_clips_are_sampled_at_a_time_of_each_agent() -> None:
-    found = alone(swing(), [0, 0, 0, -1], [0.0, 0.25, 0.75, 0.75])
+    poses = alone(swing(), [0, 0, 0, -1], [0.0, 0.25, 0.75, 0.75])
     half = np.sqrt(0.5) * 2
-    assert np.allclose(found.world[:, 1, :, 3], [[2, 0, 0], [half, half, 0], [-half, half, 0], [2, 0, 0]], atol=1e-6)
-    assert np.allclose(found.channels, [[0, 0.75], [0.5, 0.75], [2.5, 0.75], [0.5, 0.75]])
-    assert found.local is not None and np.allclose(found.local[:, 1, :, 3], [2, 0, 0])
+    assert np.allclose(poses.world[:, 1, :, 3], [[2, 0, 0], [half, half, 0], [-half, half, 0], [2, 0, 0]], atol=1e-6)
+    assert np.allclose(poses.channels, [[0, 0.75], [0.5, 0.75], [2.5, 0.75], [0.5, 0.75]])
+    assert poses.local is not None and np.allclose(poses.local[:, 1, :, 3], [2, 0, 0])
 
 
 def test_clips_that_loop_begin_again_and_others_hold_their_ends() -> None:
@@ -74,22 +74,22 @@ def test_rotations_go_the_shorter_way_and_near_to_slerp(far: float, most: float)
 
 def test_a_joint_that_a_clip_lacks_has_its_rest_pose_and_a_channel_its_default() -> None:
     rest = matrix((1, 2, 3), turn("x", 40), (1, 2, 0.5), (0.1, 0.2, 0.3))
-    found = alone(definition({"a": "", "b": "a"}, still("c", {"a": {}, "unknown": {}}), rest={"b": rest}), [0, -1], [0.0, 0.0])
-    assert found.local is not None and np.allclose(found.local[:, 1], rest[:3], atol=1e-6)
+    poses = alone(definition({"a": "", "b": "a"}, still("c", {"a": {}, "unknown": {}}), rest={"b": rest}), [0, -1], [0.0, 0.0])
+    assert poses.local is not None and np.allclose(poses.local[:, 1], rest[:3], atol=1e-6)
     assert alone(swing(), [0], [0.5]).channels[0, 1] == 0.75
 
 
 def test_a_clip_that_tells_of_a_joint_and_of_no_shears_says_that_it_has_none() -> None:
     rest = matrix((1, 2, 3), turn("x", 40), (1, 2, 0.5), (0.1, 0.2, 0.3))
-    found = alone(definition({"a": ""}, still("c", {"a": {"s": (3, 1, 1)}}), rest={"a": rest}), [0, -1], [0.0, 0.0])
-    assert np.allclose(found.world[0, 0, :, :3], np.diag([3, 1, 1]), atol=1e-6)
-    assert np.allclose(found.world[1, 0], rest[:3], atol=1e-6)
+    poses = alone(definition({"a": ""}, still("c", {"a": {"s": (3, 1, 1)}}), rest={"a": rest}), [0, -1], [0.0, 0.0])
+    assert np.allclose(poses.world[0, 0, :, :3], np.diag([3, 1, 1]), atol=1e-6)
+    assert np.allclose(poses.world[1, 0], rest[:3], atol=1e-6)
 
 
 def test_local_transforms_are_scaled_then_sheared_then_turned_then_moved() -> None:
-    made = {"t": (1, 2, 3), "r": turn("y", 70), "s": (2, 3, -4), "h": (0.5, -0.25, 0.75)}
-    found = alone(definition({"a": ""}, still("c", {"a": made})), [0], [0.0])
-    assert np.allclose(found.world[0, 0], matrix(made["t"], made["r"], made["s"], made["h"])[:3], atol=1e-5)
+    parts = {"t": (1, 2, 3), "r": turn("y", 70), "s": (2, 3, -4), "h": (0.5, -0.25, 0.75)}
+    poses = alone(definition({"a": ""}, still("c", {"a": parts})), [0], [0.0])
+    assert np.allclose(poses.world[0, 0], matrix(parts["t"], parts["r"], parts["s"], parts["h"])[:3], atol=1e-5)
     hand = alone(definition({"a": ""}, still("c", {"a": {"s": (1, 2, 1), "h": (0.5, 0, 0), "r": turn("z", 90)}})), [0], [0.0])
     assert np.allclose(hand.world[0, 0] @ [0, 1, 0, 1], [-2, 1, 0])  # y doubled, x grown by half of it, a quarter turn
 
@@ -99,11 +99,11 @@ def test_matrices_are_taken_apart_and_put_together_again() -> None:
     any_of_them = [random.normal(size=(3, 4)) for _ in range(300)]
     flat = [np.diag([0.0, 0, 0, 1])[:3], np.diag([1.0, 0, 2, 1])[:3], np.array([[1.0, 2, 0, 0], [1, 2, 0, 0], [1, 2, 0, 5]])]
     mirror = [np.diag([1.0, -1, 1, 1])[:3], np.diag([-1.0, -1, -1, 1])[:3]]
-    given = np.concatenate([np.stack(any_of_them + flat + mirror), np.tile([[[0, 0, 0, 1.0]]], (305, 1, 1))], 1)
-    t, r, s, h = affine.decomposed(given)
+    matrices = np.concatenate([np.stack(any_of_them + flat + mirror), np.tile([[[0, 0, 0, 1.0]]], (305, 1, 1))], 1)
+    t, r, s, h = affine.decomposed(matrices)
     back = affine.composed(t, r, s, h, np.empty((3, 4, 305)))
-    assert np.allclose(np.moveaxis(back, -1, 0), given[:, :3], atol=1e-5)
-    assert np.allclose(np.moveaxis(back, -1, 0)[:300], given[:300, :3], atol=1e-9)
+    assert np.allclose(np.moveaxis(back, -1, 0), matrices[:, :3], atol=1e-5)
+    assert np.allclose(np.moveaxis(back, -1, 0)[:300], matrices[:300, :3], atol=1e-9)
     assert np.allclose((r * r).sum(axis=0), 1)
 
 
@@ -111,11 +111,11 @@ def test_the_nearest_rotation_is_that_of_the_polar_decomposition() -> None:
     random = np.random.default_rng(4)
     turns = [matrix(rotation=q)[:3, :3] for q in random.normal(size=(6, 4))]
     flat = [turns[k] @ np.diag(s) @ turns[k + 3] for k, s in enumerate(([1, 1, 1e-9], [1e5, 1, 1e-5], [1, 1e-7, -1e-7]))]
-    given = np.stack(
+    matrices = np.stack(
         [*random.normal(size=(200, 3, 3)), np.diag([1000.0, 1, 1]), np.diag([1e-6, 2e-6, 1e-6]), np.eye(3) * 1e9, *flat]
     )
-    found = np.moveaxis(affine.rotation_part(np.moveaxis(given, 0, -1)), -1, 0)
-    for m, r in zip(given, found, strict=True):
+    rotations = np.moveaxis(affine.rotation_part(np.moveaxis(matrices, 0, -1)), -1, 0)
+    for m, r in zip(matrices, rotations, strict=True):
         u, _, v = np.linalg.svd(m)
         assert np.allclose(r, u @ v * np.sign(np.linalg.det(m)), atol=1e-5)
     turned = np.stack(
@@ -129,37 +129,37 @@ def test_world_transforms_are_those_of_an_independent_implementation() -> None:
     skel = pytest.importorskip("pxr.UsdSkel")
     gf = pytest.importorskip("pxr.Gf")
     vt = pytest.importorskip("pxr.Vt")
-    made = wild(23, 5, sheared=True)
-    found = alone(made, [0, 1, 0, -1], [0.1, 0.2, 0.33, 0.0])
-    topology = skel.Topology(vt.IntArray(made.rig.parents.tolist()))
-    assert found.local is not None
-    for local, world in zip(found.local, found.world, strict=True):
+    body = wild(23, 5, sheared=True)
+    poses = alone(body, [0, 1, 0, -1], [0.1, 0.2, 0.33, 0.0])
+    topology = skel.Topology(vt.IntArray(body.rig.parents.tolist()))
+    assert poses.local is not None
+    for local, world in zip(poses.local, poses.world, strict=True):
         full = [gf.Matrix4d(np.vstack([each, [0, 0, 0, 1]]).T.tolist()) for each in local.astype(np.float64)]
         theirs = vt.Matrix4dArray(len(full))
         assert skel.ConcatJointTransforms(topology, vt.Matrix4dArray(full), theirs)
-        wanted = np.array([np.array(each).T[:3] for each in theirs])
-        assert np.allclose(world, wanted, atol=1e-5 * np.abs(wanted).max())
+        expected = np.array([np.array(each).T[:3] for each in theirs])
+        assert np.allclose(world, expected, atol=1e-5 * np.abs(expected).max())
 
 
 def test_transforms_may_be_changed_by_hand_and_the_others_follow() -> None:
     """The shoulder is turned further; and what local transforms world ones stand for is found again."""
-    made = wild(12, 8, sheared=True)
-    table, found = clip_table(made), alone(made, [0, 1, -1], [0.1, 0.2, 0.0])
-    assert found.local is not None
-    assert world_transforms(table, found.local).tobytes() == found.world.tobytes()
-    assert np.allclose(local_transforms(table, found.world), found.local, atol=1e-3)
+    body = wild(12, 8, sheared=True)
+    table, poses = clip_table(body), alone(body, [0, 1, -1], [0.1, 0.2, 0.0])
+    assert poses.local is not None
+    assert world_transforms(table, poses.local).tobytes() == poses.world.tobytes()
+    assert np.allclose(local_transforms(table, poses.world), poses.local, atol=1e-3)
     arm = swing()
     local = np.array(alone(arm, [0], [0.5]).local)
     local[0, 0] = matrix((0, 0, 1), turn("z", 180))[:3]
     assert np.allclose(world_transforms(clip_table(arm), local)[0, 1, :, 3], [-2, 0, 1], atol=1e-6)
-    full = square(found.world)
+    full = square(poses.world)
     assert full.shape == (3, 12, 4, 4) and full.flags.c_contiguous
-    assert np.array_equal(full[..., :3, :], found.world) and full[1, 1, 3].tolist() == [0, 0, 0, 1]
+    assert np.array_equal(full[..., :3, :], poses.world) and full[1, 1, 3].tolist() == [0, 0, 0, 1]
 
 
 def test_order_of_agents_chunks_and_threads_change_no_bit(monkeypatch: pytest.MonkeyPatch) -> None:
-    made, random, n = wild(9, 6, sheared=True), np.random.default_rng(7), 700
-    table = clip_table(made)
+    body, random, n = wild(9, 6, sheared=True), np.random.default_rng(7), 700
+    table = clip_table(body)
     trees = (ClipTree.flat(2), ClipTree((0, 1, 1), ("", "", ""), (1, 0), (-1, 0)))
     playing = Playing(
         trees, random.integers(0, 2, n).astype(np.int32), random.integers(-1, 2, (n, 3)).astype(np.int32),

@@ -30,16 +30,16 @@ def test_a_matrix_is_its_parts_again_sheared_and_mirrored_ones_too() -> None:
 
 def test_scale_shear_rotation_and_translation_apply_in_this_order() -> None:
     quarter = rotation_of_angles(np.array([0.0, 0.0, np.pi / 2]), "xyz")
-    found = matrix_of(np.array([0.0, 0.0, 5.0]), quarter, np.array([1.0, 2.0, 1.0]), np.array([0.5, 0.0, 0.0]))
+    matrix = matrix_of(np.array([0.0, 0.0, 5.0]), quarter, np.array([1.0, 2.0, 1.0]), np.array([0.5, 0.0, 0.0]))
     # (0, 1, 0): scaled to (0, 2, 0), sheared to (1, 2, 0), turned to (-2, 1, 0), moved to (-2, 1, 5)
-    assert np.abs(found @ (0, 1, 0, 1) - (-2, 1, 5, 1)).max() < 1e-12
+    assert np.abs(matrix @ (0, 1, 0, 1) - (-2, 1, 5, 1)).max() < 1e-12
 
 
 @pytest.mark.parametrize("order", ORDERS)
 def test_angles_turn_about_the_axes_in_their_order(order: str) -> None:
     angles = np.random.default_rng(1).uniform(-4, 4, (200, 3))
-    wanted = Rotation.from_euler(order, angles[:, ["xyz".index(letter) for letter in order]]).as_matrix()
-    assert np.abs(rotation_matrix(rotation_of_angles(angles, order)) - wanted).max() < 1e-12
+    expected = Rotation.from_euler(order, angles[:, ["xyz".index(letter) for letter in order]]).as_matrix()
+    assert np.abs(rotation_matrix(rotation_of_angles(angles, order)) - expected).max() < 1e-12
 
 
 def test_rotations_are_matrices_and_angles_again() -> None:
@@ -55,8 +55,8 @@ def test_rotations_are_matrices_and_angles_again() -> None:
 def test_between_two_rotations_it_goes_the_short_way_at_an_even_rate() -> None:
     turns = unit_quaternion(np.random.default_rng(3).normal(size=(60, 4)))
     for a, b in zip(turns[::2], turns[1::2], strict=True):
-        wanted = Slerp([0, 1], Rotation.from_quat([a, b]))(0.3).as_matrix()
-        assert np.abs(rotation_matrix(between_rotations(a, b, np.array(0.3))) - wanted).max() < 1e-11
+        expected = Slerp([0, 1], Rotation.from_quat([a, b]))(0.3).as_matrix()
+        assert np.abs(rotation_matrix(between_rotations(a, b, np.array(0.3))) - expected).max() < 1e-11
     same = between_rotations(turns, -turns, np.full(60, 0.5))
     assert np.abs(np.abs((same * turns).sum(axis=1)) - 1).max() < 1e-12
 
@@ -64,7 +64,7 @@ def test_between_two_rotations_it_goes_the_short_way_at_an_even_rate() -> None:
 def test_rotations_that_follow_each_other_keep_to_one_sign() -> None:
     angles = np.zeros((40, 3))
     angles[:, 2] = np.linspace(0, 20, 40)
-    found = rotation_of_angles(angles, "xyz")
-    assert ((found[1:] * found[:-1]).sum(axis=1) > 0).all()
+    rotations = rotation_of_angles(angles, "xyz")
+    assert ((rotations[1:] * rotations[:-1]).sum(axis=1) > 0).all()
     signs = np.where(np.arange(40) % 3 == 0, -1.0, 1.0)[:, None]
-    assert (np.abs(one_sign(found * signs) - found * signs[0]) == 0).all()
+    assert (np.abs(one_sign(rotations * signs) - rotations * signs[0]) == 0).all()

@@ -25,9 +25,9 @@ def file(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def body(file: Path) -> Definition:
-    found, report = read_definition(file)
-    assert found is not None and not report.diagnostics, report.diagnostics
-    return found
+    definition, report = read_definition(file)
+    assert definition is not None and not report.diagnostics, report.diagnostics
+    return definition
 
 
 def test_joints_shapes_layers_and_colours(body: Definition) -> None:
@@ -73,28 +73,30 @@ def test_points_are_where_usd_skins_them(body: Definition, file: Path) -> None:
         points = UsdGeom.Mesh(target.GetPrim()).GetPointsAttr().Get()
         target.ComputeSkinnedPoints(query.ComputeSkinningTransforms(code), points, code)
         place = np.array(UsdGeom.XformCache(code).GetLocalToWorldTransform(query.GetSkeleton().GetPrim()))
-        wanted = (np.c_[np.array(points), np.ones(len(points))] @ place)[skin.attributes["vertex"], :3]
+        expected = (np.c_[np.array(points), np.ones(len(points))] @ place)[skin.attributes["vertex"], :3]
         local = body.rig.rest.copy()
         parts = (clip.translation, clip.rotation, clip.scale)
         for number, joint in enumerate(clip.joints):
             local[body.rig.joint(joint)] = matrix_of(*(part[sample, number].astype(np.float64) for part in parts))
         world = world_matrices(body.rig.parents, local)
-        ways = np.array([world[body.rig.joint(name)] for name in skin.capture.names]) @ skin.capture.inverse
-        whole = np.c_[skin.points, np.ones(len(skin.points))]
-        made = np.einsum("pk,pkij,pj->pi", skin.capture.weights, ways[skin.capture.joints], whole)
-        assert np.abs(made[:, :3] - wanted).max() < 1e-6
+        joint_matrices = np.array([world[body.rig.joint(name)] for name in skin.capture.names]) @ skin.capture.inverse
+        homogeneous_points = np.c_[skin.points, np.ones(len(skin.points))]
+        skinned_points = np.einsum(
+            "pk,pkij,pj->pi", skin.capture.weights, joint_matrices[skin.capture.joints], homogeneous_points
+        )
+        assert np.abs(skinned_points[:, :3] - expected).max() < 1e-6
 
 
-def test_a_prim_is_read_alone_and_one_that_is_not_there_is_told_of(file: Path) -> None:
-    found, report = read_definition(file, prim="/Body/Hat")
-    assert found is not None and found.rig.names == ("Hat",), report.diagnostics
-    found, report = read_definition(file, prim="/Body/Hut")
-    assert found is None and [each.help for each in report.errors] == ["did you mean `/Body/Hat`?"]
+def test_a_prim_is_read_alone_and_a_missing_one_is_reported(file: Path) -> None:
+    definition, report = read_definition(file, prim="/Body/Hat")
+    assert definition is not None and definition.rig.names == ("Hat",), report.diagnostics
+    definition, report = read_definition(file, prim="/Body/Hut")
+    assert definition is None and [each.help for each in report.errors] == ["did you mean `/Body/Hat`?"]
 
 
 def test_other_rates_and_damaged_files(file: Path, tmp_path: Path) -> None:
-    found, _ = read_definition(file, rate=96.0)
-    assert found is not None and found.clips["Walk"].samples == 45
+    definition, _ = read_definition(file, rate=96.0)
+    assert definition is not None and definition.clips["Walk"].samples == 45
     text = file.read_text(encoding="utf-8")
     for number, (old, new) in enumerate(
         [
@@ -106,6 +108,6 @@ def test_other_rates_and_damaged_files(file: Path, tmp_path: Path) -> None:
         assert old in text, old
         path = tmp_path / f"damaged{number}.usda"
         path.write_text(text.replace(old, new), encoding="utf-8")
-        found, report = read_definition(path)
-        assert (found is None) == bool(report.errors), (old, report.diagnostics)
-        assert found is None or old.startswith("uniform"), old
+        definition, report = read_definition(path)
+        assert (definition is None) == bool(report.errors), (old, report.diagnostics)
+        assert definition is None or old.startswith("uniform"), old

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from antdsl.bodies.agents.definition import Definition, spoken
+from antdsl.bodies.agents.definition import Definition, with_language_names
 from antdsl.bodies.agents.driving import Driven
 from antdsl.bodies.agents.packed import digest, packed
 from antdsl.bodies.agents.varied_bodies import Draws
@@ -39,22 +39,22 @@ BODY = {
 COUNT = 200
 
 
-def read(folder: Path, **more: object) -> tuple[Definition | None, Report]:
+def read(folder: Path, **fields: object) -> tuple[Definition | None, Report]:
     (folder / "block.obj").write_text(BLOCK)
-    (folder / "bug.json").write_text(json.dumps({**BODY, **more}))
+    (folder / "bug.json").write_text(json.dumps({**BODY, **fields}))
     return read_definition(folder / "bug.json")
 
 
 def posed(body: PosedBody, draws: Draws | None) -> np.ndarray:
     """Points [n, 4 shapes, 4, 3]."""
-    found = body.posed([], COUNT, driven=Driven(draws=draws))[0]
-    return found.reshape(COUNT, 4, 4, 3)
+    points = body.posed([], COUNT, driven=Driven(draws=draws))[0]
+    return points.reshape(COUNT, 4, 4, 3)
 
 
 def test_parts_are_as_large_as_their_agent_has_them(tmp_path: Path) -> None:
     body, report = read(tmp_path)
     assert body is not None and not report.sorted()
-    drawn, ids = PosedBody(spoken(body), ()), np.arange(COUNT)
+    drawn, ids = PosedBody(with_language_names(body), ()), np.arange(COUNT)
     points, rest = posed(drawn, Draws(ids, 3, "bug")), posed(drawn, None)
     # a block with a corner at its joint: its edge ahead says how large it is
     size = np.linalg.norm(points[:, :, 1] - points[:, :, 0], axis=2)
@@ -73,7 +73,7 @@ def test_parts_are_as_large_as_their_agent_has_them(tmp_path: Path) -> None:
 def test_materials_lie_on_the_way_through_their_colours(tmp_path: Path) -> None:
     body, _ = read(tmp_path)
     assert body is not None
-    drawn = PosedBody(spoken(body), ())
+    drawn = PosedBody(with_language_names(body), ())
     driven = Driven(draws=Draws(np.arange(COUNT), 3, "bug"))
     colours = drawn.colours(driven).reshape(COUNT, 4, 4, 3)
     fur, skin = colours[:, 2, 0], colours[:, [0, 1, 3]]
@@ -85,9 +85,9 @@ def test_materials_lie_on_the_way_through_their_colours(tmp_path: Path) -> None:
 def test_a_cache_keeps_it_and_a_body_without_is_as_it_was(tmp_path: Path) -> None:
     body, _ = read(tmp_path)
     assert body is not None
-    again = unpacked(packed(spoken(body)))
+    again = unpacked(packed(with_language_names(body)))
     assert dict(again.variation.scales) == {"head": (0.5, 2.0), "half": (1.0, 3.0)}
-    assert again.variation.materials["fur"][1] == (0, 1, 0) and digest(again) == digest(spoken(body))
+    assert again.variation.materials["fur"][1] == (0, 1, 0) and digest(again) == digest(with_language_names(body))
     plain, _ = read(tmp_path, variation={})
     assert plain is not None and b"variation" not in packed(plain)["text"].tobytes()
 
@@ -104,6 +104,6 @@ def test_a_cache_keeps_it_and_a_body_without_is_as_it_was(tmp_path: Path) -> Non
         ({"hats": 3}, None),
     ],
 )
-def test_what_is_wrong_is_told_at_its_place(variation: object, message: str | None, tmp_path: Path) -> None:
+def test_mistakes_are_reported_at_their_place(variation: object, message: str | None, tmp_path: Path) -> None:
     body, report = read(tmp_path, variation=variation)
     assert body is None and message in (None, report.errors[0].message) and report.errors[0].span is not None

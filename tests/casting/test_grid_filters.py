@@ -16,9 +16,9 @@ SHAPES = [(1, 1, 1), (5, 1, 7), (30, 4, 50), (2, 90, 3), (40, 40, 40)]
 def test_the_best_around(shape: tuple[int, ...], rings: int) -> None:
     random = np.random.default_rng(rings)
     for grid in (random.random(shape) < 0.02, random.integers(-9, 50, shape).astype(np.int32)):
-        before = grid.copy()
+        original = grid.copy()
         most, least = greatest_around(grid, rings), least_around(grid, rings)
-        assert most.dtype == least.dtype == grid.dtype and (grid == before).all()
+        assert most.dtype == least.dtype == grid.dtype and (grid == original).all()
         assert np.array_equal(most, maximum_filter(grid, 2 * rings + 1, mode="nearest"))
         assert np.array_equal(least, minimum_filter(grid, 2 * rings + 1, mode="nearest"))
 

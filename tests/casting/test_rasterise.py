@@ -21,38 +21,38 @@ def gaps(triangle: Floats, cells: NDArray[np.int64]) -> Floats:
     """How far apart (cells) a triangle and cells are along the axis that separates them best; below 0 where none does."""
     edges = np.roll(triangle, -1, axis=0) - triangle
     axes = [*np.eye(3), np.cross(edges[0], edges[1]), *(np.cross(one, edge) for one in np.eye(3) for edge in edges)]
-    apart = np.full(len(cells), -np.inf)
+    distances = np.full(len(cells), -np.inf)
     for axis in axes:
         if (length := float(np.linalg.norm(axis))) < 1e-12:
             continue
         along = (triangle[None] - (cells[:, None] + 0.5)) @ (axis / length)
         half = 0.5 * np.abs(axis / length).sum()
-        apart = np.maximum(apart, np.maximum(along.min(axis=1) - half, -half - along.max(axis=1)))
-    return apart
+        distances = np.maximum(distances, np.maximum(along.min(axis=1) - half, -half - along.max(axis=1)))
+    return distances
 
 
 def needles(count: int) -> list[Floats]:
     """Thin triangles along axes, in planes of axes and aslant, corners in any order, some without any width."""
     rng = np.random.default_rng(7)
-    made = []
+    triangles = []
     for k in range(count):
-        way = np.eye(3)[k % 3] if k % 4 == 0 else rng.normal(size=3)
+        direction = np.eye(3)[k % 3] if k % 4 == 0 else rng.normal(size=3)
         if k % 4 == 1:
-            way[k % 3] = 0.0
-        long = rng.uniform(70, 110) * way / np.linalg.norm(way)
+            direction[k % 3] = 0.0
+        long = rng.uniform(70, 110) * direction / np.linalg.norm(direction)
         wide = rng.normal(size=3) * (0.0 if k % 8 == 2 else rng.uniform(0, 0.6))
         start = rng.uniform(-5, 5, 3)
-        made.append(np.stack([start, start + long, start + long * rng.uniform(-0.2, 1.2) + wide])[rng.permutation(3)])
-    return made
+        triangles.append(np.stack([start, start + long, start + long * rng.uniform(-0.2, 1.2) + wide])[rng.permutation(3)])
+    return triangles
 
 
 def named(triangles: Floats, **how: float) -> list[set[Cell]]:
     """The cells of each triangle."""
-    found: list[set[Cell]] = [set() for _ in triangles]
+    cells_by_triangle: list[set[Cell]] = [set() for _ in triangles]
     for cells, which in triangle_cells(triangles, **how):
         for cell, triangle in zip(cells.tolist(), which.tolist(), strict=True):
-            found[triangle].add(tuple(cell))
-    return found
+            cells_by_triangle[triangle].add(tuple(cell))
+    return cells_by_triangle
 
 
 def test_of_thin_triangles_the_cells_are_those_that_no_axis_separates():
@@ -62,12 +62,12 @@ def test_of_thin_triangles_the_cells_are_those_that_no_axis_separates():
     for triangle, touched, loose, reached in zip(triangles, exact, around, wider, strict=True):
         low, high = np.floor(triangle.min(axis=0)).astype(int) - 1, np.floor(triangle.max(axis=0)).astype(int) + 2
         cells = np.stack(np.meshgrid(*map(np.arange, low, high), indexing="ij"), axis=-1).reshape(-1, 3)
-        apart = gaps(triangle, cells)
-        must = {tuple(cell) for cell in cells[apart < -HAIR].tolist()}
-        may = {tuple(cell) for cell in cells[apart < HAIR].tolist()}
+        distances = gaps(triangle, cells)
+        must = {tuple(cell) for cell in cells[distances < -HAIR].tolist()}
+        may = {tuple(cell) for cell in cells[distances < HAIR].tolist()}
         assert must <= touched <= may
         assert touched <= loose and touched <= reached
-        assert reached <= {tuple(cell) for cell in cells[apart < 0.25 * 3**0.5 + HAIR].tolist()}
+        assert reached <= {tuple(cell) for cell in cells[distances < 0.25 * 3**0.5 + HAIR].tolist()}
 
 
 def test_wide_triangles_are_quartered_as_ever(monkeypatch: pytest.MonkeyPatch):

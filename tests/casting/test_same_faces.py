@@ -21,12 +21,12 @@ class Shaken:
         self._scene, self._rng = scene, np.random.default_rng(seed)
 
     def _moved(self, tensor: Any, error: float) -> Any:
-        asked = tensor.numpy().copy()
-        asked[:, :3] += self._rng.uniform(-error, error, (len(asked), 3)).astype(np.float32)
-        if asked.shape[1] == 6:
-            long = np.abs(asked[:, 3:]).max(axis=1, keepdims=True) * 1e-7
-            asked[:, 3:] += (long * self._rng.uniform(-1, 1, (len(asked), 3))).astype(np.float32)
-        return RayScene._tensor(asked)
+        rays = tensor.numpy().copy()
+        rays[:, :3] += self._rng.uniform(-error, error, (len(rays), 3)).astype(np.float32)
+        if rays.shape[1] == 6:
+            long = np.abs(rays[:, 3:]).max(axis=1, keepdims=True) * 1e-7
+            rays[:, 3:] += (long * self._rng.uniform(-1, 1, (len(rays), 3))).astype(np.float32)
+        return RayScene._tensor(rays)
 
     def cast_rays(self, rays: Any, nthreads: int = 0) -> Any:
         return self._scene.cast_rays(self._moved(rays, 1e-7 * R), nthreads=nthreads)
@@ -53,24 +53,26 @@ def rays_at_edges() -> tuple[np.ndarray, np.ndarray]:
     """Rays at all corners and at the middles of all sides of these, from three sides, a third of which end there."""
     corners = np.concatenate([v[f] for v, f in meshes()])
     at = np.concatenate([corners[:, 0], (corners[:, 0] + corners[:, 1]) / 2])
-    ways = np.array([(0.31, -60.0, 0.77), (30.7, -50.3, 7.1), (-45.1, -10.9, -50.7)])
-    origin = np.concatenate([at - way * part for way, part in zip(ways, (0.7, 1.0, 0.4), strict=True)])
-    way = np.repeat(ways, len(at), axis=0)
+    displacements = np.array([(0.31, -60.0, 0.77), (30.7, -50.3, 7.1), (-45.1, -10.9, -50.7)])
+    origin = np.concatenate([at - displacement * part for displacement, part in zip(displacements, (0.7, 1.0, 0.4), strict=True)])
+    displacement = np.repeat(displacements, len(at), axis=0)
     # Less those that pass a face at its edge almost along it: no rounding tells on which side.
     scene = RayScene.of(meshes())
-    first = scene.cast(origin, way)
+    first = scene.cast(origin, displacement)
     hit = np.flatnonzero(first.hit)
     face = scene._first_face[first.mesh[hit]] + first.face[hit]
     weights = np.stack([1 - first.u - first.v, first.u, first.v], axis=1)[hit]
     which, other = scene._faces.meeting(face, weights)
-    slope = np.abs((scene._faces.normal(other) * way[hit[which]]).sum(axis=1)) / np.sqrt((way[hit[which]] ** 2).sum(axis=1))
+    slope = np.abs((scene._faces.normal(other) * displacement[hit[which]]).sum(axis=1)) / np.sqrt(
+        (displacement[hit[which]] ** 2).sum(axis=1)
+    )
     along = np.zeros(len(origin), bool)
     along[hit[which[slope < 0.03]]] = True
     assert along.mean() < 0.1
-    return origin[~along], way[~along]
+    return origin[~along], displacement[~along]
 
 
-def made(brief: bool) -> RayScene:
+def make_scene(brief: bool) -> RayScene:
     """A scene of the meshes, with tables of all faces and a grid or, `brief`, without."""
     scene = RayScene.__new__(RayScene)
     scene._brief = brief
@@ -79,31 +81,31 @@ def made(brief: bool) -> RayScene:
 
 
 def answers(scene: RayScene) -> dict[str, np.ndarray]:
-    origin, way = rays_at_edges()
-    rows, part, mesh, face = scene.cast_within(origin, way)
-    for one, other in zip((rows, part, mesh, face), scene.cast_within(origin, way, most_hit=True), strict=True):
+    origin, displacement = rays_at_edges()
+    rows, part, mesh, face = scene.cast_within(origin, displacement)
+    for one, other in zip((rows, part, mesh, face), scene.cast_within(origin, displacement, most_hit=True), strict=True):
         assert np.array_equal(one, other)
-    first = scene.cast(origin, way)
+    first = scene.cast(origin, displacement)
     x, y, z = (np.ascontiguousarray(v, np.float32) for v in origin.T)
-    size = np.sqrt((way**2).sum(axis=1))
-    dx, dy, dz = (np.ascontiguousarray(v, np.float32) for v in (way / size[:, None]).T)
-    felt = scene.feelers(x, y, z, dx, dy, dz, size.astype(np.float32))
+    size = np.sqrt((displacement**2).sum(axis=1))
+    dx, dy, dz = (np.ascontiguousarray(v, np.float32) for v in (displacement / size[:, None]).T)
+    contacts = scene.feelers(x, y, z, dx, dy, dz, size.astype(np.float32))
     away = origin[:: len(origin) // 3000] + np.array([0.0, 3.0, 0.0])
     _, near, place, distance = scene.closest(away)
     touched = scene.near(*(np.ascontiguousarray(v, np.float32) for v in away.T), 20.0)
     return {
         "rows": rows, "part": part, "mesh": mesh, "face": face, "t": first.t, "first": first.face, "u": first.u,
-        "felt": felt.t, "normal": felt.nx, "near": near, "place": place, "distance": distance, "touched": touched.t,
+        "felt": contacts.t, "normal": contacts.nx, "near": near, "place": place, "distance": distance, "touched": touched.t,
         "off": touched.nx,
     }  # fmt: skip
 
 
 @pytest.mark.parametrize("brief", [False, True])
 def test_rays_at_edges_and_corners_give_the_same_bits_whatever_open3d_rounds(brief: bool):
-    known = answers(made(brief))
+    known = answers(make_scene(brief))
     assert len(known["rows"]) > 3000 and np.isfinite(known["felt"]).sum() > 3000
     for seed in range(4):
-        again = answers(shaken(made(brief), seed))
+        again = answers(shaken(make_scene(brief), seed))
         for name, value in known.items():
             assert np.array_equal(value, again[name]), f"{name} {(value != again[name]).sum()} of {len(value)}"
 
@@ -111,14 +113,14 @@ def test_rays_at_edges_and_corners_give_the_same_bits_whatever_open3d_rounds(bri
 def test_a_ray_meets_what_float64_says_it_meets():
     """All triangles asked in float64, at edges too: the least distance, then the first face."""
     scene = RayScene.of(meshes())
-    origin, way = (v[::41] for v in rays_at_edges())
+    origin, displacement = (v[::41] for v in rays_at_edges())
     faces = scene._faces
     every = np.arange(len(faces.corners))
-    hits = scene.cast(origin, way)
+    hits = scene.cast(origin, displacement)
     firsts = np.cumsum([0, *(len(f) for _, f in meshes())])
     for k in range(len(origin)):
         t, _, inside, _ = faces.crossing(
-            every, np.repeat(origin[k : k + 1], len(every), 0), np.repeat(way[k : k + 1], len(every), 0)
+            every, np.repeat(origin[k : k + 1], len(every), 0), np.repeat(displacement[k : k + 1], len(every), 0)
         )
         t = np.where(inside & (t > 1e-4), t, np.inf)
         assert hits.t[k] == t.min() or (np.isinf(hits.t[k]) and np.isinf(t.min()))
@@ -139,7 +141,7 @@ def test_open3d_is_shown_triangles_that_miss_none_of_a_face():
         assert (weights.min(axis=1) * high > 0).all()
 
 
-def test_two_sheets_in_one_place_are_told_apart_by_their_number():
+def test_two_sheets_in_one_place_are_distinguished_by_their_number():
     sheet = terrain(R, 12)
     scene = RayScene.of([sheet, sheet, sheet])
     origin = np.random.default_rng(3).uniform(-100, 100, (500, 3)) + np.array([0, 200, 0])
@@ -150,9 +152,9 @@ def test_two_sheets_in_one_place_are_told_apart_by_their_number():
 
 
 def test_a_brief_scene_says_the_same():
-    found = [answers(made(brief)) for brief in (True, False)]
-    for name, value in found[0].items():
-        assert np.array_equal(value, found[1][name]), name
+    results = [answers(make_scene(brief)) for brief in (True, False)]
+    for name, value in results[0].items():
+        assert np.array_equal(value, results[1][name]), name
 
 
 def test_the_nearest_place_of_a_face_is_the_same_for_one_and_for_many():

@@ -25,18 +25,18 @@ def test_samples_are_even_and_keep_the_ends():
 @pytest.mark.parametrize("reach", [5.0, 200.0, 5000.0])
 def test_nearest_point_and_tangent_against_all_segments(reach):
     curve = Curve(spiral(), 4.0)
-    places = np.random.default_rng(1).uniform(-reach, reach, (400, 3))
-    found = curve.closest(*places.T)
+    points = np.random.default_rng(1).uniform(-reach, reach, (400, 3))
+    closest = curve.closest(*points.T)
     start, step = curve.samples[:-1], np.diff(curve.samples, axis=0)
-    part = np.clip(np.einsum("psk,sk->ps", places[:, None] - start, step) / (step**2).sum(axis=1), 0, 1)
+    part = np.clip(np.einsum("psk,sk->ps", points[:, None] - start, step) / (step**2).sum(axis=1), 0, 1)
     point = start + part[:, :, None] * step
-    gap = np.linalg.norm(point - places[:, None], axis=2)
+    gap = np.linalg.norm(point - points[:, None], axis=2)
     best = gap.argmin(axis=1)
     rows = np.arange(400)
-    assert np.allclose(found.distance, gap[rows, best], rtol=1e-6)
-    assert np.allclose(np.stack([found.px, found.py, found.pz], axis=1), point[rows, best], atol=1e-4)
+    assert np.allclose(closest.distance, gap[rows, best], rtol=1e-6)
+    assert np.allclose(np.stack([closest.px, closest.py, closest.pz], axis=1), point[rows, best], atol=1e-4)
     unit = step / np.linalg.norm(step, axis=1, keepdims=True)
-    tangent = np.stack([found.tx, found.ty, found.tz], axis=1)
+    tangent = np.stack([closest.tx, closest.ty, closest.tz], axis=1)
     assert np.allclose(np.linalg.norm(tangent, axis=1), 1)
     # The tangent turns from joint to joint: within half a bend of the segment's own way.
     bend = np.arccos((unit[1:] * unit[:-1]).sum(axis=1).clip(-1, 1)).max()
@@ -46,8 +46,8 @@ def test_nearest_point_and_tangent_against_all_segments(reach):
 def test_the_tangent_turns_steadily():
     curve = Curve(np.array([[0, 0, 0], [10, 0, 0], [10, 0, 10]], np.float64), 1.0)
     s = np.linspace(8.0, 12.0, 400)
-    found = curve.closest(np.minimum(s, 10), np.zeros(400), np.maximum(s - 10, 0))
-    angle = np.degrees(np.arctan2(found.tz, found.tx))
+    closest = curve.closest(np.minimum(s, 10), np.zeros(400), np.maximum(s - 10, 0))
+    angle = np.degrees(np.arctan2(closest.tz, closest.tx))
     assert angle[0] == 0 and angle[-1] == 90 and np.diff(angle).min() >= 0 and np.diff(angle).max() < 1.5
 
 
@@ -62,16 +62,16 @@ def test_a_tie_falls_to_the_first_along_the_curve_whatever_the_batch():
     curve = Curve(hairpin, 0.5)
     x = np.linspace(0.1, 8.9, 50)
     zero = np.zeros(50)
-    found = curve.closest(x, zero, zero)
-    assert (found.tx == 1).all() and (found.pz == -1).all() and (found.distance == 1).all()
+    closest = curve.closest(x, zero, zero)
+    assert (closest.tx == 1).all() and (closest.pz == -1).all() and (closest.distance == 1).all()
     alone = curve.closest(x[7:8], zero[:1], zero[:1])
-    assert alone.px[0] == found.px[7]
+    assert alone.px[0] == closest.px[7]
 
 
 def test_one_point_no_number_and_no_curve():
     dot = Curve(np.array([[1.0, 2, 3]]), 1.0)
-    found = dot.closest(np.array([1.0, np.nan]), np.array([2.0, 0]), np.array([7.0, 0]))
-    assert found.distance.tolist() == [4.0, np.inf] and found.tx.tolist() == [0, 0]
+    closest = dot.closest(np.array([1.0, np.nan]), np.array([2.0, 0]), np.array([7.0, 0]))
+    assert closest.distance.tolist() == [4.0, np.inf] and closest.tx.tolist() == [0, 0]
     for bad in (np.empty((0, 3)), np.array([[0, np.nan, 0]])):
         with pytest.raises(ValueError, match="at least one point"):
             Curve(bad, 1.0)

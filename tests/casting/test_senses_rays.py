@@ -52,11 +52,11 @@ def test_mesh_and_face_of_several_meshes():
 def test_a_scene_far_from_the_origin_is_as_sharp():
     vertices, faces = terrain(400, 40)
     origin, direction = random_rays(2000, 180.0)
-    here = RayScene(vertices, faces).cast(origin, direction)
+    near_hits = RayScene(vertices, faces).cast(origin, direction)
     far = np.array([3e6, -1e6, 2e6])
-    there = RayScene(vertices + far, faces).cast(origin + far, direction)
-    assert np.array_equal(here.face, there.face) and here.hit.sum() > 500
-    assert np.allclose(here.t[here.hit], there.t[here.hit], atol=1e-3)
+    far_hits = RayScene(vertices + far, faces).cast(origin + far, direction)
+    assert np.array_equal(near_hits.face, far_hits.face) and near_hits.hit.sum() > 500
+    assert np.allclose(near_hits.t[near_hits.hit], far_hits.t[near_hits.hit], atol=1e-3)
 
 
 def test_same_bits_alone_or_in_a_batch_and_for_any_thread_count():
@@ -92,16 +92,16 @@ def test_feelers_find_what_rays_without_culling_find():
     turn = rng.uniform(0, 2 * np.pi, n)
     dx, dy, dz = np.cos(turn).astype(np.float32), np.zeros(n, np.float32), np.sin(turn).astype(np.float32)
     reach = rng.uniform(1, 25, n).astype(np.float32)
-    felt = scene.feelers(x, y, z, dx, dy, dz, reach)
+    contacts = scene.feelers(x, y, z, dx, dy, dz, reach)
     rays = np.stack([dx, dy, dz], axis=1).astype(np.float64) * reach[:, None]
     all_of_them = scene.cast(np.stack([x, y, z], axis=1).astype(np.float64), rays)
     expected = all_of_them.t <= 1.0
     assert 300 < expected.sum() < n / 2
-    assert np.array_equal(felt.hit, expected)
-    assert np.array_equal(felt.t[expected], (all_of_them.t * reach).astype(np.float32)[expected])
-    assert np.isinf(felt.t[~expected]).all()
-    assert np.array_equal(np.stack([felt.nx, felt.ny, felt.nz], axis=1)[expected], all_of_them.normal[expected])
-    assert ((felt.nx * dx + felt.ny * dy + felt.nz * dz)[expected] <= 0).all()
+    assert np.array_equal(contacts.hit, expected)
+    assert np.array_equal(contacts.t[expected], (all_of_them.t * reach).astype(np.float32)[expected])
+    assert np.isinf(contacts.t[~expected]).all()
+    assert np.array_equal(np.stack([contacts.nx, contacts.ny, contacts.nz], axis=1)[expected], all_of_them.normal[expected])
+    assert ((contacts.nx * dx + contacts.ny * dy + contacts.nz * dz)[expected] <= 0).all()
 
 
 @pytest.mark.parametrize("mesh", [ball(20.0, (5, 1, 2)), grid(300, 1), box((-80, -1, -80), (80, 60, -79))])
@@ -145,9 +145,9 @@ def test_a_missing_library_is_named_with_what_to_install():
         "try: rays.RayScene(__import__('numpy').eye(3), __import__('numpy').arange(3).reshape(1, 3))\n"
         "except ImportError as e: print(e)"
     )
-    told = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True).stdout
+    output = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True).stdout
     for word in ("open3d-cpu", "libegl1", "libgl1", "libusb-1.0-0"):
-        assert word in told
+        assert word in output
 
 
 def test_few_feelers_touch_what_many_do(monkeypatch: pytest.MonkeyPatch):

@@ -66,46 +66,50 @@ def rays(scene: RayScene, grid: TriangleGrid, count: int) -> tuple[np.ndarray, n
     weights[1::7, 2] = 0.0
     weights /= weights.sum(axis=1)[:, None]
     aim = (corners[rng.integers(0, len(corners), count)] * weights[:, :, None]).sum(axis=1)
-    way = rng.normal(size=(count, 3))
-    way[2::9] = np.eye(3)[rng.integers(0, 3, len(way[2::9]))]
-    way *= (width * rng.choice([0.3, 1.0, 1.3, 3.0, 20.0], count, p=[0.2, 0.3, 0.3, 0.17, 0.03]) / np.sqrt(dot(way, way)))[
-        :, None
-    ]
-    before = rng.uniform(-0.5, 1.5, count)
-    before[3::11] = 0.0  # from a face itself
-    before[4::11] = 1.0  # ending on one
-    return aim - way * before[:, None], way
+    displacement = rng.normal(size=(count, 3))
+    displacement[2::9] = np.eye(3)[rng.integers(0, 3, len(displacement[2::9]))]
+    displacement *= (
+        width
+        * rng.choice([0.3, 1.0, 1.3, 3.0, 20.0], count, p=[0.2, 0.3, 0.3, 0.17, 0.03])
+        / np.sqrt(dot(displacement, displacement))
+    )[:, None]
+    fraction = rng.uniform(-0.5, 1.5, count)
+    fraction[3::11] = 0.0  # from a face itself
+    fraction[4::11] = 1.0  # ending on one
+    return aim - displacement * fraction[:, None], displacement
 
 
-def places(scene: RayScene, grid: TriangleGrid, count: int) -> np.ndarray:
+def sample_points(scene: RayScene, grid: TriangleGrid, count: int) -> np.ndarray:
     origin, _ = rays(scene, grid, count)
     return origin + np.random.default_rng(3).normal(0, grid.tables[0][3] / 2, origin.shape)
 
 
-def by_open3d(scene: RayScene, origin: np.ndarray, way: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def by_open3d(scene: RayScene, origin: np.ndarray, displacement: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     t, face = np.full(len(origin), np.inf), np.full(len(origin), NOTHING)
-    rows, part, named, _ = scene._first(origin, way, 1.0, 2)
+    rows, part, named, _ = scene._first(origin, displacement, 1.0, 2)
     t[rows], face[rows] = part, named
     return t, face
 
 
-def of_all(faces: Faces, origin: np.ndarray, way: np.ndarray) -> np.ndarray:
+def of_all(faces: Faces, origin: np.ndarray, displacement: np.ndarray) -> np.ndarray:
     """For one ray, after what part it meets each face (inf = it does not)."""
     every = np.arange(len(faces.corners))
-    t, _, inside, _ = faces.crossing(every, np.tile(origin, (len(every), 1)), np.tile(way, (len(every), 1)))
-    hair = faces.hair / np.sqrt((way[0] * way[0] + way[1] * way[1]) + way[2] * way[2])
+    t, _, inside, _ = faces.crossing(every, np.tile(origin, (len(every), 1)), np.tile(displacement, (len(every), 1)))
+    hair = faces.hair / np.sqrt(
+        (displacement[0] * displacement[0] + displacement[1] * displacement[1]) + displacement[2] * displacement[2]
+    )
     return np.where(inside & (t > hair) & (t <= 1.0), t, np.inf)
 
 
-def same_rays(scene: RayScene, grid: TriangleGrid, origin: np.ndarray, way: np.ndarray) -> int:
+def same_rays(scene: RayScene, grid: TriangleGrid, origin: np.ndarray, displacement: np.ndarray) -> int:
     """How many rays meet another face or place by Open3D, each of which is told why."""
-    t, face = grid.first(origin, way)
+    t, face = grid.first(origin, displacement)
     near = face != FURTHER
     assert near.mean() > 0.95 and (face >= 0).sum() > len(face) // 20
-    other_t, other = by_open3d(scene, origin, way)
+    other_t, other = by_open3d(scene, origin, displacement)
     differing = np.flatnonzero(near & ((face != other) | (t != other_t)))
     for k in differing[:200]:
-        parts = of_all(scene._faces, origin[k], way[k])
+        parts = of_all(scene._faces, origin[k], displacement[k])
         first = int(np.argmin(parts))
         assert t[k] == parts[first] and face[k] == (first if np.isfinite(parts[first]) else NOTHING)
         # Open3D names nothing or a later face, or one beside it that is as near but for rounding.
@@ -117,8 +121,8 @@ def same_places(scene: RayScene, grid: TriangleGrid, points: np.ndarray) -> int:
     place, square, face = grid.nearest(points)
     near = np.flatnonzero(face != FURTHER)
     assert len(near) > len(points) // 2
-    there, distance, other = scene._closest(points[near], 2, np.full(len(near), np.inf))
-    differing = np.flatnonzero((other != face[near]) | (distance != np.sqrt(square[near])) | (there != place[near]).any(axis=1))
+    closest, distance, other = scene._closest(points[near], 2, np.full(len(near), np.inf))
+    differing = np.flatnonzero((other != face[near]) | (distance != np.sqrt(square[near])) | (closest != place[near]).any(axis=1))
     corners = scene._faces.corners
     for k in near[differing[:200]]:
         gap = nearest_on_triangle(np.tile(points[k], (len(corners), 1)), corners) - points[k]
@@ -126,7 +130,7 @@ def same_places(scene: RayScene, grid: TriangleGrid, points: np.ndarray) -> int:
     return len(differing)
 
 
-def made(name: str) -> tuple[RayScene, TriangleGrid]:
+def make_grid(name: str) -> tuple[RayScene, TriangleGrid]:
     scene = RayScene.of(MESHES[name]())
     grid = TriangleGrid.of(scene._faces, scene.origin)
     assert grid is not None
@@ -135,95 +139,99 @@ def made(name: str) -> tuple[RayScene, TriangleGrid]:
 
 @pytest.mark.parametrize("name", MESHES)
 def test_a_short_ray_meets_what_it_meets_by_open3d(name: str):
-    scene, grid = made(name)
+    scene, grid = make_grid(name)
     count = 4000
     assert same_rays(scene, grid, *rays(scene, grid, count)) <= 1
-    assert same_places(scene, grid, places(scene, grid, count // 4)) <= 1
+    assert same_places(scene, grid, sample_points(scene, grid, count // 4)) <= 1
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", MESHES)
 def test_a_million_short_rays_meet_what_they_meet_by_open3d(name: str):
-    scene, grid = made(name)
+    scene, grid = make_grid(name)
     count = 125_000
     assert same_rays(scene, grid, *rays(scene, grid, count)) <= EXCEPTIONS * count
-    assert same_places(scene, grid, places(scene, grid, count // 10)) <= EXCEPTIONS * count
+    assert same_places(scene, grid, sample_points(scene, grid, count // 10)) <= EXCEPTIONS * count
 
 
 @pytest.mark.parametrize("name", MESHES)
 def test_a_short_ray_meets_what_it_meets_of_all_faces(name: str):
-    scene, grid = made(name)
-    origin, way = rays(scene, grid, 150)
-    way[[5, 7]] = grid.tables[0][3]
-    origin[5], way[6], origin[7], way[8] = np.nan, np.nan, np.inf, 0.0
-    points = places(scene, grid, 100)
+    scene, grid = make_grid(name)
+    origin, displacement = rays(scene, grid, 150)
+    displacement[[5, 7]] = grid.tables[0][3]
+    origin[5], displacement[6], origin[7], displacement[8] = np.nan, np.nan, np.inf, 0.0
+    points = sample_points(scene, grid, 100)
     points[3], points[4] = np.nan, 1e30
-    (t, face), (place, square, nearest) = grid.first(origin, way), grid.nearest(points)
+    (t, face), (place, square, nearest) = grid.first(origin, displacement), grid.nearest(points)
     assert (face[[5, 6, 7, 8]] == NOTHING).all() and np.isinf(t[[5, 6, 7, 8]]).all() and (nearest[[3, 4]] == FURTHER).all()
     corners, (_, _, _, width, *_) = scene._faces.corners, grid.tables[0]
     for k in np.setdiff1d(np.arange(150), [5, 6, 7, 8]):
-        parts, first = of_all(scene._faces, origin[k], way[k]), int(face[k])
-        assert t[k] == (np.inf if first < 0 else parts[first]) and (np.abs(way[k]).sum() > LONGEST * width) == (first == FURTHER)
+        parts, first = of_all(scene._faces, origin[k], displacement[k]), int(face[k])
+        assert t[k] == (np.inf if first < 0 else parts[first]) and (np.abs(displacement[k]).sum() > LONGEST * width) == (
+            first == FURTHER
+        )
         assert first == FURTHER or parts.min() == t[k] or np.isnan(parts).all()
         assert first < 0 or not (parts[:first] <= t[k]).any()
     for k in np.setdiff1d(np.arange(100), [3, 4]):
-        there = nearest_on_triangle(np.tile(points[k], (len(corners), 1)), corners)
-        squares = dot(there - points[k], there - points[k])
+        nearest_points = nearest_on_triangle(np.tile(points[k], (len(corners), 1)), corners)
+        squares = dot(nearest_points - points[k], nearest_points - points[k])
         if nearest[k] == FURTHER:
             assert squares.min() > width * width
         else:
             assert nearest[k] == np.argmin(squares) and square[k] == squares.min()
-            assert np.array_equal(place[k], there[nearest[k]])
-    assert len(grid.first(origin[:0], way[:0])[0]) == 0 and len(grid.nearest(points[:0])[0]) == 0
+            assert np.array_equal(place[k], nearest_points[nearest[k]])
+    assert len(grid.first(origin[:0], displacement[:0])[0]) == 0 and len(grid.nearest(points[:0])[0]) == 0
 
 
 @pytest.mark.parametrize("threads", [1, 2])
 @pytest.mark.parametrize("name", MESHES)
 def test_normals_of_first_faces_are_those_named(name: str, threads: int):
-    scene, _ = made(name)
+    scene, _ = make_grid(name)
     grid = scene._triangles()
     assert grid is not None
-    origin, way = rays(scene, grid, 2000)
+    origin, displacement = rays(scene, grid, 2000)
     origin, named = origin + scene.origin, np.random.default_rng(4).permutation(len(scene._faces.corners))
     normals = np.random.default_rng(5).normal(size=(3, len(named)))
-    short = np.flatnonzero(grid.first(origin - scene.origin, way)[1] != FURTHER)
+    short = np.flatnonzero(grid.first(origin - scene.origin, displacement)[1] != FURTHER)
     assert 0 < len(short) < len(origin)
-    for some in (slice(None), short, slice(0, 0)):  # of some rays, and of none, the grid cannot tell
-        which, part, normal = scene.faced(origin[some], way[some], normals, named, threads)
-        rows, at, face = scene._within(origin[some] - scene.origin, way[some], 1)
-        assert np.array_equal(which, rows) and np.array_equal(part, at) and (len(rows) > 100 or isinstance(some, slice))
+    for subset in (slice(None), short, slice(0, 0)):  # of some rays, and of none, the grid cannot tell
+        which, part, normal = scene.faced(origin[subset], displacement[subset], normals, named, threads)
+        rows, at, face = scene._within(origin[subset] - scene.origin, displacement[subset], 1)
+        assert np.array_equal(which, rows) and np.array_equal(part, at) and (len(rows) > 100 or isinstance(subset, slice))
         assert np.array_equal(normal, normals[:, named[face]])
-    assert grid.faced(origin[short], way[short], normals, named, threads)[1] == 0
+    assert grid.faced(origin[short], displacement[short], normals, named, threads)[1] == 0
 
 
 def test_feelers_and_gaps_are_the_same_with_and_without_a_grid():
-    scene, grid = made("a few of them")
+    scene, grid = make_grid("a few of them")
     far = RayScene.of(MESHES["a few of them"]())
     far._sought = True
-    origin, way = rays(scene, grid, 3000)
-    length = np.sqrt(dot(way, way))
-    place, direction = (np.ascontiguousarray(v.T, np.float32) for v in (origin, way / length[:, None]))
+    origin, displacement = rays(scene, grid, 3000)
+    length = np.sqrt(dot(displacement, displacement))
+    place, direction = (np.ascontiguousarray(v.T, np.float32) for v in (origin, displacement / length[:, None]))
     reach = length.astype(np.float32)
     clear = scene.clearance(*place)
     asking = np.arange(3000) % 2 == 0
     answers = []
     for which in (scene, far):
-        felt = which.feelers(*place, *direction, reach)
-        gap, out = which.apart(*place, reach)
+        contacts = which.feelers(*place, *direction, reach)
+        gap, out = which.signed_distances(*place, reach)
         near = which.near(*place, reach)
-        found = np.zeros(3000, np.bool_), np.full(3000, np.inf, np.float32), *np.zeros((3, 3000), np.float32)
-        left = which.felt((*place, clear), [(~asking & asking, (*direction, reach), found), (asking, (*direction, reach), found)])
+        results = np.zeros(3000, np.bool_), np.full(3000, np.inf, np.float32), *np.zeros((3, 3000), np.float32)
+        left = which.feel_batch(
+            (*place, clear), [(~asking & asking, (*direction, reach), results), (asking, (*direction, reach), results)]
+        )
         assert [number for number, rows in left if rows.size] == [1]
-        asked = left[-1][1]
-        assert len(asked) < 100 if which is scene else len(asked) == 1500
-        answers.append((felt.t, felt.nx, felt.ny, felt.nz, gap, out, near.t, near.nx))
+        remaining_rows = left[-1][1]
+        assert len(remaining_rows) < 100 if which is scene else len(remaining_rows) == 1500
+        answers.append((contacts.t, contacts.nx, contacts.ny, contacts.nz, gap, out, near.t, near.nx))
         if which is scene:
-            assert not found[0][~asking].any() and np.isinf(found[1][~asking]).all()
-            done = np.setdiff1d(np.flatnonzero(asking), asked)
-            x, y, z = (each[done] for each in direction)
+            assert not results[0][~asking].any() and np.isinf(results[1][~asking]).all()
+            answered_rows = np.setdiff1d(np.flatnonzero(asking), remaining_rows)
+            x, y, z = (each[answered_rows] for each in direction)
             size = np.sqrt((x * x + y * y) + z * z)
-            same = which.feelers(*(v[done] for v in place), x / size, y / size, z / size, reach[done])
-            hit, t, nx, *_ = (part[done] for part in found)
+            same = which.feelers(*(v[answered_rows] for v in place), x / size, y / size, z / size, reach[answered_rows])
+            hit, t, nx, *_ = (part[answered_rows] for part in results)
             assert np.array_equal(hit, same.hit) and np.array_equal(t, same.t) and np.array_equal(nx, same.nx)
     assert np.isfinite(answers[0][0]).sum() > 500 and (answers[0][4] < 0).any()
     for other in answers[1:]:

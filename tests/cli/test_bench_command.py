@@ -13,18 +13,18 @@ from antdsl.runtime.backends import BACKENDS
 
 
 def test_cases_are_listed(tmp_path: Path) -> None:
-    done = commands.run("bench", "--list", cwd=tmp_path)
-    assert done.returncode == 0
-    assert [line.split()[0] for line in done.stdout.splitlines()] == list(CASES)
-    assert "125, 1,000, 15,000, 100,000, 1,000,000" in done.stdout
+    process = commands.run("bench", "--list", cwd=tmp_path)
+    assert process.returncode == 0
+    assert [line.split()[0] for line in process.stdout.splitlines()] == list(CASES)
+    assert "125, 1,000, 15,000, 100,000, 1,000,000" in process.stdout
 
 
 @pytest.mark.slow
 def test_backends_are_measured_each_and_in_turn(tmp_path: Path) -> None:
     words = ["node", "--agents", "40", "--backend", "numpy", "--backend", "reference", "--pairs", "2", "--steps", "1"]
-    done = commands.run("bench", *words, "--json", "found.json", cwd=tmp_path, env={"COLUMNS": "100"})
-    assert done.returncode == 0, done.stderr
-    lines = done.stdout.splitlines()
+    process = commands.run("bench", *words, "--json", "found.json", cwd=tmp_path, env={"COLUMNS": "100"})
+    assert process.returncode == 0, process.stderr
+    lines = process.stdout.splitlines()
     assert lines[0].startswith("node, 40 agents; 500 points that wander and keep apart")
     assert next(line for line in lines if line.startswith("backend")).split() == ["backend", "numpy", "reference"]
     for head in (
@@ -41,10 +41,10 @@ def test_backends_are_measured_each_and_in_turn(tmp_path: Path) -> None:
         assert any(line.startswith(head) for line in lines), head
     assert any(line.startswith("reference: ") and "(2 turns) of the CPU time of numpy" in line for line in lines)
     assert any(line.startswith("blend") and len(line.split()) == 5 for line in lines)
-    found = json.loads((tmp_path / "found.json").read_text())
-    (result,) = found["results"]
+    document = json.loads((tmp_path / "found.json").read_text())
+    (result,) = document["results"]
     assert [each["job"]["backends"] for each in result["alone"]] == [["numpy"], ["reference"]]
-    assert list(result["together"]["costs"]) == ["numpy", "reference"] and found["machine"]["numpy"]
+    assert list(result["together"]["costs"]) == ["numpy", "reference"] and document["machine"]["numpy"]
     slow = result["together"]["costs"]
     assert min(slow["reference"]["cpu"]) > min(slow["numpy"]["cpu"]), "one agent at a time takes longer"
 
@@ -52,11 +52,16 @@ def test_backends_are_measured_each_and_in_turn(tmp_path: Path) -> None:
 def test_a_full_run_of_a_scene_is_measured(tmp_path: Path) -> None:
     assert commands.run("new", "walkers", cwd=tmp_path).returncode == 0
     words = ["walkers/scene.yaml", "--backend", "numpy", "--pairs", "2", "--steps", "2", "--threads", "2"]
-    done = commands.run("bench", *words, "--json", "-", cwd=tmp_path)
-    assert done.returncode == 0, done.stderr
-    (found,) = json.loads(done.stdout)["results"][0]["alone"]
-    assert found["agents"] == 200 and found["full_run"]["cpu"] > 0 and found["job"]["threads"] == 2 and found["steps"] == 2
-    assert "run, CPU ms" in done.stderr and "walkers/scene.yaml, 200 agents" in done.stderr
+    process = commands.run("bench", *words, "--json", "-", cwd=tmp_path)
+    assert process.returncode == 0, process.stderr
+    (measurement,) = json.loads(process.stdout)["results"][0]["alone"]
+    assert (
+        measurement["agents"] == 200
+        and measurement["full_run"]["cpu"] > 0
+        and measurement["job"]["threads"] == 2
+        and measurement["steps"] == 2
+    )
+    assert "run, CPU ms" in process.stderr and "walkers/scene.yaml, 200 agents" in process.stderr
     assert not (tmp_path / "walkers" / "out").exists()
 
 
@@ -72,8 +77,10 @@ def test_a_full_run_of_a_scene_is_measured(tmp_path: Path) -> None:
         (["node", "--pairs", "0"], 2, "--pairs"),
     ],
 )
-def test_what_cannot_be_measured_is_told(tmp_path: Path, words: list[str], code: int, said: str) -> None:
+def test_what_cannot_be_measured_is_reported(tmp_path: Path, words: list[str], code: int, said: str) -> None:
     assert commands.run("new", "walkers", cwd=tmp_path).returncode == 0
     (tmp_path / "bad.yaml").write_text("antdsl: 1\n")
-    done = commands.run("bench", *words, cwd=tmp_path, env={"COLUMNS": "250"})
-    assert done.returncode == code and said in " ".join((done.stdout + done.stderr).split()), done.stdout + done.stderr
+    process = commands.run("bench", *words, cwd=tmp_path, env={"COLUMNS": "250"})
+    assert process.returncode == code and said in " ".join((process.stdout + process.stderr).split()), (
+        process.stdout + process.stderr
+    )

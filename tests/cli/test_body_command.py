@@ -22,15 +22,15 @@ def arm(tmp_path: Path) -> Path:
 
 
 def printed(*words: str) -> str:
-    done = CliRunner().invoke(app, ["body", *words])
-    assert done.exception is None, done.exception
-    return done.stdout
+    result = CliRunner().invoke(app, ["body", *words])
+    assert result.exception is None, result.exception
+    return result.stdout
 
 
 def left(*words: str) -> tuple[Exit, str]:
-    done = CliRunner().invoke(app, ["body", *words])
-    assert isinstance(done.exception, Stop), done.stdout
-    return done.exception.code, done.stdout
+    result = CliRunner().invoke(app, ["body", *words])
+    assert isinstance(result.exception, Stop), result.stdout
+    return result.exception.code, result.stdout
 
 
 def test_it_tells_joints_as_a_tree_shapes_layers_and_clips(arm: Path) -> None:
@@ -60,7 +60,7 @@ def test_a_word_is_a_body_of_the_library() -> None:
     assert len([line for line in lines if line.startswith("leg ")]) == 8
 
 
-def test_metadata_groups_and_marks_are_told(arm: Path) -> None:
+def test_metadata_groups_and_marks_are_printed(arm: Path) -> None:
     body = arm.parent / "body.json"
     body.write_text(
         json.dumps(
@@ -77,16 +77,16 @@ def test_metadata_groups_and_marks_are_told(arm: Path) -> None:
     assert 'metadata     by: {"type": "string", "value": "me"}' in lines
 
 
-def test_programs_are_told_as_json(arm: Path) -> None:
-    found = json.loads(printed(str(arm), "--json"))
-    assert found["valid"] and found["findings"] is None
-    assert found["body"]["joints"] == {"root": None, "elbow": "root"}
-    assert found["body"]["shapes"]["arm"]["blends_with"] == ["arm.smile"]
-    assert found["body"]["clips"]["hop"]["seconds"] == 1.0
+def test_programs_get_json(arm: Path) -> None:
+    document = json.loads(printed(str(arm), "--json"))
+    assert document["valid"] and document["findings"] is None
+    assert document["body"]["joints"] == {"root": None, "elbow": "root"}
+    assert document["body"]["shapes"]["arm"]["blends_with"] == ["arm.smile"]
+    assert document["body"]["clips"]["hop"]["seconds"] == 1.0
     arm.write_bytes(arm.read_bytes()[:100])
     code, text = left(str(arm), "--json")
-    found = json.loads(text)
-    assert code == Exit.FINDINGS and found["body"] is None and found["findings"]["diagnostics"][0]["code"] == "bad-body"
+    document = json.loads(text)
+    assert code == Exit.FINDINGS and document["body"] is None and document["findings"]["diagnostics"][0]["code"] == "bad-body"
 
 
 def test_exit_codes(arm: Path, tmp_path: Path) -> None:

@@ -30,47 +30,47 @@ def labels(diagnostic: Diagnostic) -> list[tuple[object, ...]]:
     return [(place(label.span), label.text) for label in diagnostic.labels]
 
 
-def found(files: list[Path], monkeypatch: pytest.MonkeyPatch, cores: int) -> tuple[list[tuple[object, ...]], list[str]]:
+def check_files(files: list[Path], monkeypatch: pytest.MonkeyPatch, cores: int) -> tuple[list[tuple[object, ...]], list[str]]:
     monkeypatch.setattr(checking, "_may_fork", lambda: True)  # whatever other tests have imported
     checked = checking.check_all(files, Choices(), cores=cores)
     assert set(checked.reports) == set(files)
-    told = [
+    findings = [
         (file, d.code, d.message, d.severity, d.help, place(d.span), labels(d), d.fix and (place(d.fix.span), d.fix.text))
         for file in files
         for d in checked.reports[file].diagnostics
     ]
-    return told, sorted((source.path, source.text) for source in checked.sources)  # type: ignore[return-value]
+    return findings, sorted((source.path, source.text) for source in checked.sources)  # type: ignore[return-value]
 
 
 @pytest.mark.skipif(not SHARES, reason="processes are forked on Linux only")
 def test_processes_find_what_one_finds(monkeypatch: pytest.MonkeyPatch) -> None:
     files, _ = find_files(FOLDERS)
     assert len(files) > checking.WORTH_SHARING
-    one = found(files, monkeypatch, 1)
+    one = check_files(files, monkeypatch, 1)
     assert len(one[0]) > 300
-    assert found(files, monkeypatch, 3) == one
+    assert check_files(files, monkeypatch, 3) == one
 
 
 @pytest.mark.skipif(not SHARES, reason="processes are forked on Linux only")
 def test_what_a_dead_process_leaves_is_checked_all_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
     files, _ = find_files(FOLDERS[1:])
-    one = found(files, monkeypatch, 1)
+    one = check_files(files, monkeypatch, 1)
 
-    def dies(pipe: int, groups: list[list[Path]], claims: int, *given: object) -> None:
+    def dies(pipe: int, groups: list[list[Path]], claims: int, *arguments: object) -> None:
         os.read(claims, 1)  # it has taken a group with it
         os._exit(9)
 
     monkeypatch.setattr(checking, "_work", dies)
-    assert found(files, monkeypatch, 2) == one
+    assert check_files(files, monkeypatch, 2) == one
 
 
 @pytest.mark.skipif(not SHARES, reason="processes are forked on Linux only")
 def test_half_an_answer_is_no_answer(monkeypatch: pytest.MonkeyPatch) -> None:
     files, _ = find_files(FOLDERS[1:])
-    one = found(files, monkeypatch, 1)
-    whole = checking.encode_reports
-    monkeypatch.setattr(checking, "encode_reports", lambda *given: whole(*given)[:-100])
-    assert found(files, monkeypatch, 2) == one
+    one = check_files(files, monkeypatch, 1)
+    encode = checking.encode_reports
+    monkeypatch.setattr(checking, "encode_reports", lambda *arguments: encode(*arguments)[:-100])
+    assert check_files(files, monkeypatch, 2) == one
 
 
 def test_reports_come_back_complete_and_share_their_texts() -> None:
@@ -109,7 +109,7 @@ def test_a_file_that_takes_too_long_is_reported_and_the_others_are_checked(tmp_p
     for file in (slow, fine):
         file.write_text("ant 1\nspecies moth { state a { }\nlayers { state } }\n")
 
-    def spin(path: Path, *words: object, **more: object) -> object:
+    def spin(path: Path, *words: object, **options: object) -> object:
         try:
             while path == slow:
                 pass
@@ -118,8 +118,8 @@ def test_a_file_that_takes_too_long_is_reported_and_the_others_are_checked(tmp_p
         return None, Report()
 
     with patch.object(checking, "check_path", spin):
-        found = checking.check_all([slow, fine], Choices(), cpu_seconds=0.05)
-    (error,) = found.reports[slow].errors
+        results = checking.check_all([slow, fine], Choices(), cpu_seconds=0.05)
+    (error,) = results.reports[slow].errors
     assert error.code == "too-large" and "more than 0.05 s of processor time" in error.message
     assert error.span is not None and error.span.source.path == str(slow)
-    assert found.reports[fine].ok and signal.getitimer(signal.ITIMER_PROF)[0] == 0
+    assert results.reports[fine].ok and signal.getitimer(signal.ITIMER_PROF)[0] == 0

@@ -28,9 +28,9 @@ SCENE = "antdsl: 1\nframes: 1..4\ncrowd: [{species: walker, from: walker.ant, co
 
 
 def antdsl(*words: str, cwd: Path) -> subprocess.CompletedProcess[str]:
-    done = commands.run(*words, cwd=cwd)
-    assert "Traceback" not in done.stderr + done.stdout, done.stderr[-800:]
-    return done
+    result = commands.run(*words, cwd=cwd)
+    assert "Traceback" not in result.stderr + result.stdout, result.stderr[-800:]
+    return result
 
 
 @pytest.fixture
@@ -47,10 +47,10 @@ def test_check_finds_programs_and_scenes_in_folders(folder: Path) -> None:
     (folder / ".git").mkdir()
     (folder / ".git" / "x.ant").write_text("nonsense {")
     (folder / "loop").symlink_to(folder)
-    done = antdsl("check", ".", cwd=folder)
-    assert done.returncode == 1
-    assert "error[unknown-behaviour]: no behaviour `wonder`" in done.stdout and "sub/bad.ant:6:30" in done.stdout
-    assert "nonsense" not in done.stdout and "soup" not in done.stdout
+    result = antdsl("check", ".", cwd=folder)
+    assert result.returncode == 1
+    assert "error[unknown-behaviour]: no behaviour `wonder`" in result.stdout and "sub/bad.ant:6:30" in result.stdout
+    assert "nonsense" not in result.stdout and "soup" not in result.stdout
     assert antdsl("check", "walker.ant", "scene.yaml", cwd=folder).stdout == "checked 2 files, nothing to complain about\n"
 
 
@@ -69,7 +69,7 @@ def test_formats_are_written_with_and_without_findings(
         assert ("wrong-unit" in printed or "units" in printed) == (code == 1), printed
 
 
-def test_a_file_that_is_named_like_one_of_the_library_is_told_by_its_own_name(folder: Path) -> None:
+def test_a_file_named_like_one_of_the_library_is_reported_by_its_own_name(folder: Path) -> None:
     (folder / "<odd").mkdir()
     for name in ("<bad>.ant", "<odd/bad.ant"):
         (folder / name).write_text(GOOD.replace("25 mm/s", "25 s"))
@@ -119,11 +119,11 @@ def test_mistakes_end_in_words_and_their_exit_code(
 
 
 def test_a_run_says_how_far_it_is_and_info_what_is_in_it(folder: Path) -> None:
-    done = antdsl("run", "scene.yaml", "--seed", "5", "--frames", "11..13", cwd=folder)
-    assert done.returncode == 0, done.stderr
-    assert re.search(r"frame 13 of 13, [0-9.]+ fps, stroll 5", done.stdout) and "the cache is in" in done.stdout
-    told = antdsl("info", "out/scene", "--verify", cwd=folder).stdout
-    assert "3 of 3: 11..13" in told and "seed 5" in told and "verified     3 frames" in told
+    result = antdsl("run", "scene.yaml", "--seed", "5", "--frames", "11..13", cwd=folder)
+    assert result.returncode == 0, result.stderr
+    assert re.search(r"frame 13 of 13, [0-9.]+ fps, stroll 5", result.stdout) and "the cache is in" in result.stdout
+    info = antdsl("info", "out/scene", "--verify", cwd=folder).stdout
+    assert "3 of 3: 11..13" in info and "seed 5" in info and "verified     3 frames" in info
     assert antdsl("run", "scene.yaml", "--quiet", cwd=folder).stdout == ""
     assert (
         antdsl("plan", "walker.ant", cwd=folder).stdout.startswith("species walker")
@@ -144,37 +144,37 @@ def test_a_reader_that_has_had_enough_causes_no_complaint(folder: Path) -> None:
         (folder / f"bad{n}.ant").write_text(GOOD.replace("wander", "wonder"))
     command = f"{sys.executable} -m antdsl check . | head -1"
     env = child_environment()
-    done = subprocess.run(["bash", "-c", command], cwd=folder, env=env, capture_output=True, text=True, timeout=60)
-    assert done.stdout.startswith("error") and done.stderr == ""
+    result = subprocess.run(["bash", "-c", command], cwd=folder, env=env, capture_output=True, text=True, timeout=60)
+    assert result.stdout.startswith("error") and result.stderr == ""
 
 
 def test_words_that_a_terminal_cannot_show_are_replaced(folder: Path) -> None:
     (folder / "walker.ant").write_text(GOOD.replace("wander", "wänder"))
     command = [sys.executable, "-m", "antdsl", "check", "walker.ant"]
     environment = child_environment(PYTHONIOENCODING="ascii")
-    done = subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True, timeout=60)
-    assert done.stderr == ""
-    assert done.returncode == 1 and "error[" in done.stdout
+    result = subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True, timeout=60)
+    assert result.stderr == ""
+    assert result.returncode == 1 and "error[" in result.stdout
 
 
 @pytest.mark.parametrize(("words", "most"), [(["--help"], 230), (["check", "walker.ant"], 570), (["check", "scene.yaml"], 610)])
 def test_a_command_imports_only_what_it_needs(folder: Path, words: list[str], most: int) -> None:
     code = "import sys; from antdsl.cli import _run; r = _run(); print(r, sorted(sys.modules), file=sys.stderr)"
-    done = subprocess.run(
+    result = subprocess.run(
         [sys.executable, "-c", code, *words], cwd=folder, env=child_environment(), capture_output=True, text=True, timeout=300
     )
-    assert done.returncode == 0 and done.stderr.startswith("0 "), done.stderr[-300:]
-    loaded = set(re.findall(r"'([a-z0-9_.]+)'", done.stderr))
+    assert result.returncode == 0 and result.stderr.startswith("0 "), result.stderr[-300:]
+    loaded = set(re.findall(r"'([a-z0-9_.]+)'", result.stderr))
     assert not loaded & {"open3d", "scipy", "trimesh", "numpy", "PIL"}
     assert len(loaded) < most
 
 
 def test_a_check_of_the_repository_finds_the_cases_that_are_wrong() -> None:
-    done = subprocess.run(
+    result = subprocess.run(
         [sys.executable, "-m", "antdsl", "check", ".", "--format", "json"],
         cwd=ROOT, env=child_environment(), capture_output=True, text=True, timeout=600,
     )  # fmt: skip
-    assert done.returncode == 1 and json.loads(done.stdout)["left_out"] > 100
+    assert result.returncode == 1 and json.loads(result.stdout)["left_out"] > 100
 
 
 def test_pictures_sheets_and_films_are_drawn(tmp_path: Path) -> None:
@@ -183,37 +183,37 @@ def test_pictures_sheets_and_films_are_drawn(tmp_path: Path) -> None:
     assert antdsl("new", "ants", cwd=tmp_path).returncode == 0
     assert antdsl("run", "ants/scene.yaml", "--frames", "1..6", "--out", "cache", cwd=tmp_path).returncode == 0
     small = ("--width", "96", "--height", "64")
-    done = antdsl("render", "cache", "--sheet", "--every", "2", *small, cwd=tmp_path)
-    assert done.stdout.split() == ["cache/pictures/sheet.png", "cache/pictures/picture.0005.png"], done.stderr
+    result = antdsl("render", "cache", "--sheet", "--every", "2", *small, cwd=tmp_path)
+    assert result.stdout.split() == ["cache/pictures/sheet.png", "cache/pictures/picture.0005.png"], result.stderr
     with Image.open(tmp_path / "cache" / "pictures" / "picture.0005.png") as picture:
         assert picture.size == (96, 64) and len(picture.getcolors(96 * 64) or ()) > 100
-    done = antdsl(
+    result = antdsl(
         "render", "cache", "--agents", "7", "--camera", "eye", "--show", "ids,velocity", "--out", "eye", *small, cwd=tmp_path
     )
-    assert done.stdout.split() == ["eye/picture.0006.png"], done.stderr
+    assert result.stdout.split() == ["eye/picture.0006.png"], result.stderr
     wrong = antdsl("render", "cache", "--show", "smell", *small, cwd=tmp_path)
     assert wrong.returncode == 2 and "cannot show" in wrong.stderr
     words = ("--camera", "top", "--marks", "5", "--blur", "0.5", "--legend", "none", "--out", "top", *small)
-    done = antdsl("render", "cache", "--frames", "5..5", *words, cwd=tmp_path)
-    assert done.stdout.split() == ["top/picture.0005.png"], done.stderr
+    result = antdsl("render", "cache", "--frames", "5..5", *words, cwd=tmp_path)
+    assert result.stdout.split() == ["top/picture.0005.png"], result.stderr
     wrong = antdsl("render", "cache", "--full", "smell=3", *small, cwd=tmp_path)
     assert wrong.returncode == 1 and "no field `smell`" in wrong.stderr
     wrong = antdsl("render", "cache", "--full", "smell", *small, cwd=tmp_path)
     assert wrong.returncode == 2 and "trail=20" in wrong.stderr
 
 
-def test_a_mistake_is_told_once_whoever_names_the_file(folder: Path) -> None:
+def test_a_mistake_is_reported_once_however_the_file_is_named(folder: Path) -> None:
     (folder / "walker.ant").write_text(GOOD.replace("wander", "wonder"))
-    done = antdsl("check", ".", str(folder), "--format", "concise", cwd=folder)
-    assert done.returncode == 1 and done.stdout.count("unknown-behaviour") == 1
+    result = antdsl("check", ".", str(folder), "--format", "concise", cwd=folder)
+    assert result.returncode == 1 and result.stdout.count("unknown-behaviour") == 1
 
 
 def test_strict_tells_what_depends_on_the_frame_rate(folder: Path) -> None:
     porting = GOOD.replace("wander()", "wander(); size += 0.1 mm/step").replace("  start", "  size 4 mm\n  start")
     (folder / "walker.ant").write_text(porting)
     assert antdsl("check", "walker.ant", cwd=folder).returncode == 0
-    done = antdsl("check", "walker.ant", "--strict", "--format", "concise", cwd=folder)
-    assert done.returncode == 1 and "per-step" in done.stdout, done.stdout
+    result = antdsl("check", "walker.ant", "--strict", "--format", "concise", cwd=folder)
+    assert result.returncode == 1 and "per-step" in result.stdout, result.stdout
 
 
 def test_check_reads_meshes_through_granted_roots_without_rays(tmp_path: Path) -> None:
@@ -226,44 +226,44 @@ def test_check_reads_meshes_through_granted_roots_without_rays(tmp_path: Path) -
     assert antdsl("check", "set/scene.yaml", "--root", "assets=assets", cwd=tmp_path).returncode == 0
     mesh = tmp_path / "assets" / "ground.ply"
     mesh.write_bytes(mesh.read_bytes()[:20_000])
-    done = antdsl("check", "set/scene.yaml", "--root", "assets=assets", cwd=tmp_path)
-    assert done.returncode == 1 and "error[bad-mesh]" in done.stdout and "scene.yaml:8:18" in done.stdout
+    result = antdsl("check", "set/scene.yaml", "--root", "assets=assets", cwd=tmp_path)
+    assert result.returncode == 1 and "error[bad-mesh]" in result.stdout and "scene.yaml:8:18" in result.stdout
 
 
 def test_params_are_listed_once(tmp_path: Path) -> None:
     assert antdsl("new", "ants", cwd=tmp_path).returncode == 0
-    done = antdsl("check", "ants", "--params", cwd=tmp_path)
-    assert len(re.findall(r"walker\.pace +30 +mm/s +5 \.\. 100 +How fast", done.stdout)) == 1
+    result = antdsl("check", "ants", "--params", cwd=tmp_path)
+    assert len(re.findall(r"walker\.pace +30 +mm/s +5 \.\. 100 +How fast", result.stdout)) == 1
     assert antdsl("check", "ants", "--params", "--format", "json", cwd=tmp_path).returncode == 2
 
 
 def test_what_cannot_be_read_is_input_and_output_not_a_finding(folder: Path) -> None:
     for words in (("check", "none.ant"), ("check", "none.yaml"), ("run", "none.yaml"), ("plan", "none.ant")):
-        done = antdsl(*words, cwd=folder)
-        assert done.returncode == 3 and "error[" in done.stdout + done.stderr, words
+        result = antdsl(*words, cwd=folder)
+        assert result.returncode == 3 and "error[" in result.stdout + result.stderr, words
     (folder / "bad.ant").write_text("ant 1\n")
     assert antdsl("check", "none.ant", "bad.ant", cwd=folder).returncode == 1
 
 
-def test_wrong_use_is_told_before_anything_is_simulated(folder: Path) -> None:
-    done = antdsl("run", "walker.ant", cwd=folder)
-    assert done.returncode == 2 and "is a program" in done.stderr
-    done = antdsl("run", ".", cwd=folder)
-    assert done.returncode == 2 and "./scene.yaml" in done.stderr
-    done = antdsl("run", "scene.yaml", "--summary", "none/summary.json", cwd=folder)
-    assert done.returncode == 2 and "no folder `none`" in done.stderr and not (folder / "out").exists()
+def test_wrong_use_is_reported_before_anything_is_simulated(folder: Path) -> None:
+    result = antdsl("run", "walker.ant", cwd=folder)
+    assert result.returncode == 2 and "is a program" in result.stderr
+    result = antdsl("run", ".", cwd=folder)
+    assert result.returncode == 2 and "./scene.yaml" in result.stderr
+    result = antdsl("run", "scene.yaml", "--summary", "none/summary.json", cwd=folder)
+    assert result.returncode == 2 and "no folder `none`" in result.stderr and not (folder / "out").exists()
 
 
 def test_the_set_up_tells_wrong_words_and_what_failed(tmp_path: Path) -> None:
     command = [sys.executable, "-m", "antdsl.bootstrap", "example", "--ouz", "x"]
-    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=60)
-    assert done.returncode == 2 and "--ouz" in done.stderr
+    result = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=60)
+    assert result.returncode == 2 and "--ouz" in result.stderr
 
 
 def test_the_command_that_goes_on_names_all_that_results_depend_on() -> None:
     from antdsl.cli.run import _again
 
-    found = _again(Path("a b/scene.yaml"), Path("o"), "1..9", 0, ["x.y=1mm", "x.z=2"], ["lib=d"], Path("t.json"), True)
+    command = _again(Path("a b/scene.yaml"), Path("o"), "1..9", 0, ["x.y=1mm", "x.z=2"], ["lib=d"], Path("t.json"), True)
     words = "--frames 1..9 --seed 0 --set x.y=1mm --set x.z=2 --root lib=d --out o --summary t.json --any-memory --resume"
-    assert found == f"antdsl run 'a b/scene.yaml' {words}"
+    assert command == f"antdsl run 'a b/scene.yaml' {words}"
     assert _again(Path("s.yaml"), None, None, None, [], [], None, False) == "antdsl run s.yaml --resume"

@@ -29,36 +29,38 @@ def piped(text: bytes, *words: str) -> subprocess.CompletedProcess[bytes]:
     return subprocess.run([sys.executable, "-m", "antdsl", "fmt", "-", *words], input=text, capture_output=True, env=environment)
 
 
-def test_files_of_folders_are_laid_out_anew(folder: Path) -> None:
+def test_files_of_folders_are_formatted(folder: Path) -> None:
     (folder / "scene.yaml").write_text("antdsl: 1\n")
-    done = antdsl("fmt", ".", cwd=folder)
-    assert (done.returncode, done.stdout, done.stderr) == (0, "ugly.ant\n", "1 file changed, 1 file laid out well\n")
+    result = antdsl("fmt", ".", cwd=folder)
+    assert (result.returncode, result.stdout, result.stderr) == (0, "ugly.ant\n", "1 file changed, 1 file laid out well\n")
     assert (folder / "ugly.ant").read_bytes() == NEAT
     assert (folder / "scene.yaml").read_text() == "antdsl: 1\n"
     assert antdsl("fmt", ".", cwd=folder).stderr == "2 files laid out well\n"
 
 
 def test_check_names_files_and_changes_none(folder: Path) -> None:
-    done = antdsl("fmt", "--check", ".", cwd=folder)
-    assert (done.returncode, done.stdout) == (1, "ugly.ant\n")
+    result = antdsl("fmt", "--check", ".", cwd=folder)
+    assert (result.returncode, result.stdout) == (1, "ugly.ant\n")
     assert (folder / "ugly.ant").read_bytes() == UGLY
     assert antdsl("fmt", "--check", "neat.ant", cwd=folder).returncode == 0
 
 
 def test_diff_shows_what_would_change(folder: Path) -> None:
-    done = antdsl("fmt", "--diff", ".", cwd=folder)
-    assert done.returncode == 1 and "-species a{size 4mm # long\n" in done.stdout and "+  size 4 mm  # long\n" in done.stdout
+    result = antdsl("fmt", "--diff", ".", cwd=folder)
+    assert (
+        result.returncode == 1 and "-species a{size 4mm # long\n" in result.stdout and "+  size 4 mm  # long\n" in result.stdout
+    )
     assert (folder / "ugly.ant").read_bytes() == UGLY
     (folder / "ends.ant").write_bytes(NEAT.replace(b"\n", b"\r\n"))
     assert antdsl("fmt", "--diff", "ends.ant", cwd=folder).stdout == "ends.ant: only line ends differ\n"
 
 
-def test_broken_files_are_told_of_and_left_alone(folder: Path) -> None:
+def test_broken_files_are_reported_and_left_alone(folder: Path) -> None:
     (folder / "broken.ant").write_bytes(BROKEN)
     (folder / "binary.ant").write_bytes(b"\x89PNG\r\n")
-    done = antdsl("fmt", ".", cwd=folder)
-    assert done.returncode == 1 and "error[unclosed-brace]" in done.stderr and "error[not-an-ant-file]" in done.stderr
-    assert "1 file changed, 1 file laid out well, 2 files left alone" in done.stderr
+    result = antdsl("fmt", ".", cwd=folder)
+    assert result.returncode == 1 and "error[unclosed-brace]" in result.stderr and "error[not-an-ant-file]" in result.stderr
+    assert "1 file changed, 1 file laid out well, 2 files left alone" in result.stderr
     assert (folder / "broken.ant").read_bytes() == BROKEN and (folder / "ugly.ant").read_bytes() == NEAT
 
 
@@ -87,11 +89,11 @@ def test_standard_input_comes_out_laid_out() -> None:
         (("empty",), 0, "no .ant files here"),
     ],
 )
-def test_wrong_use_is_told(folder: Path, words: tuple[str, ...], code: int, said: str) -> None:
+def test_wrong_use_is_reported(folder: Path, words: tuple[str, ...], code: int, said: str) -> None:
     (folder / "scene.yaml").write_text("antdsl: 1\n")
     (folder / "empty").mkdir()
-    done = antdsl("fmt", *words, cwd=folder)
-    assert done.returncode == code and said in " ".join(done.stderr.split())
+    result = antdsl("fmt", *words, cwd=folder)
+    assert result.returncode == code and said in " ".join(result.stderr.split())
 
 
 def test_links_and_rights_stay(folder: Path) -> None:
@@ -129,12 +131,12 @@ def test_who_may_not_write_a_file_does_not_replace_it(
 def test_formatting_loads_nothing_heavy(folder: Path) -> None:
     code = "import sys; sys.argv = ['antdsl', 'fmt', '.']\nfrom antdsl.cli import _run\n_run()\n"
     code += "print(sorted({'numpy', 'scipy', 'open3d', 'llvmlite'} & set(sys.modules)))"
-    done = subprocess.run([sys.executable, "-c", code], cwd=folder, env=child_environment(), capture_output=True, text=True)
-    assert done.stdout.splitlines()[-1] == "[]", done.stdout + done.stderr
+    result = subprocess.run([sys.executable, "-c", code], cwd=folder, env=child_environment(), capture_output=True, text=True)
+    assert result.stdout.splitlines()[-1] == "[]", result.stdout + result.stderr
 
 
 def test_what_a_new_project_begins_with_is_neat_already(folder: Path) -> None:
     (folder / "good.ant").write_text(GOOD)
     antdsl("new", "walkers", cwd=folder)
-    done = antdsl("fmt", "--check", "good.ant", "walkers", cwd=folder)
-    assert (done.returncode, done.stdout) == (0, "")
+    result = antdsl("fmt", "--check", "good.ant", "walkers", cwd=folder)
+    assert (result.returncode, result.stdout) == (0, "")

@@ -48,24 +48,24 @@ def _has_location(finding: Diagnostic) -> bool:
 
 
 def rows(tables: Mapping[str, Sequence[Row]]) -> list[Any]:
-    return [pytest.param(row, id=f"{table}: {row.name}") for table, found in tables.items() for row in found]
+    return [pytest.param(row, id=f"{table}: {row.name}") for table, table_rows in tables.items() for row in table_rows]
 
 
 @pytest.mark.parametrize("row", rows(TABLES))
 def test_the_verdict_on_a_file(row: Row, tmp_path: Path) -> None:
     scene, began = project(tmp_path, row), process_time()
     _, report = check_path(scene)
-    found = [d for d in report.sorted() if d.code == row.verdict]
-    told = [f"{d.severity} {d.code}: {d.message}" for d in report.sorted()]
+    matches = [d for d in report.sorted() if d.code == row.verdict]
+    messages = [f"{d.severity} {d.code}: {d.message}" for d in report.sorted()]
     if not row.verdict:
-        assert report.ok and (row.warned or not told), told
+        assert report.ok and (row.warned or not messages), messages
     else:
-        assert found and any(row.words in d.message or (row.words in str(d.help)) for d in found), told
-        assert all(_has_location(d) for d in found)
-        assert all(text.isprintable() for d in found for text in (d.message, d.help or ""))
+        assert matches and any(row.words in d.message or (row.words in str(d.help)) for d in matches), messages
+        assert all(_has_location(d) for d in matches)
+        assert all(text.isprintable() for d in matches for text in (d.message, d.help or ""))
     if report.ok and row.frames:
         shot, report = open_scene(scene)
-        assert shot is not None, told
+        assert shot is not None, messages
         try:
             world = list(islice(simulate(shot), row.frames))[-1]
             assert not row.faults

@@ -46,14 +46,14 @@ def test_r4_a_folder_of_what_is_no_file_is_checked(folder: Path) -> None:
     many.mkdir()
     for number in range(2000):
         (many / f"notes{number}.yaml").write_text("notes: 1\n")
-    done = antdsl(folder, "check", ".")
-    told = done.stdout + done.stderr
-    assert done.returncode in (1, 3) and "Traceback" not in told, told
-    assert "pipe.ant` is not a regular file" in told and "itself.ant" in told
-    assert "no program" not in told and "notes" not in told
+    result = antdsl(folder, "check", ".")
+    output = result.stdout + result.stderr
+    assert result.returncode in (1, 3) and "Traceback" not in output, output
+    assert "pipe.ant` is not a regular file" in output and "itself.ant" in output
+    assert "no program" not in output and "notes" not in output
 
 
-def test_r2_a_storm_of_changes_is_told_once(folder: Path) -> None:
+def test_r2_a_storm_of_changes_is_reported_once(folder: Path) -> None:
     """As of a checkout: five hundred files at once."""
     files = [folder / f"part{number}.ant" for number in range(500)]
     for each in files:
@@ -62,45 +62,45 @@ def test_r2_a_storm_of_changes_is_told_once(folder: Path) -> None:
     watch = Watch(lambda: files, clock=lambda: now[0])
     for each in files:
         each.write_text("two, longer")
-    told = []
+    reports = []
     for _ in range(40):
         now[0] += 0.01
-        told += [found] if (found := watch.look()) else []
-    assert len(told) == 1 and set(told[0]) == set(files)
+        reports += [changes] if (changes := watch.look()) else []
+    assert len(reports) == 1 and set(reports[0]) == set(files)
 
 
 @posix
-def test_r5_whoever_stops_reading_ends_a_command_without_a_traceback(folder: Path) -> None:
+def test_r5_a_reader_that_stops_ends_a_command_without_a_traceback(folder: Path) -> None:
     (folder / "bad.ant").write_text("ant 1\n" + "".join(f"species a{k} {{ x{k} }}\n" for k in range(400)))
     command = f"{sys.executable} -m antdsl check bad.ant | head -1; exit ${{PIPESTATUS[0]}}"
     env = child_environment()
-    done = subprocess.run(["bash", "-c", command], cwd=folder, env=env, capture_output=True, text=True, timeout=300)
-    assert "Traceback" not in done.stderr and done.returncode in (0, 1, 141)
-    assert len(done.stdout.splitlines()) == 1
+    result = subprocess.run(["bash", "-c", command], cwd=folder, env=env, capture_output=True, text=True, timeout=300)
+    assert "Traceback" not in result.stderr and result.returncode in (0, 1, 141)
+    assert len(result.stdout.splitlines()) == 1
 
 
 def test_r5_words_fit_a_terminal_that_knows_ascii_alone_and_is_narrow(folder: Path) -> None:
     (folder / "walker.ant").write_text(PROJECT["walker.ant"].decode().replace("wander", "wandr"))
-    done = antdsl(folder, "check", "walker.ant", PYTHONIOENCODING="ascii", COLUMNS="20", NO_COLOR="1", TERM="dumb")
-    assert done.returncode == 1 and "wandr" in done.stdout + done.stderr
-    assert "Traceback" not in done.stderr and (done.stdout + done.stderr).isascii()
+    result = antdsl(folder, "check", "walker.ant", PYTHONIOENCODING="ascii", COLUMNS="20", NO_COLOR="1", TERM="dumb")
+    assert result.returncode == 1 and "wandr" in result.stdout + result.stderr
+    assert "Traceback" not in result.stderr and (result.stdout + result.stderr).isascii()
 
 
 def test_r6_language_clock_and_hash_seed_change_no_bit(folder: Path) -> None:
-    found = []
+    hashes = []
     abroad = {"PYTHONHASHSEED": "77", "LC_ALL": "tr_TR.UTF-8", "LANG": "de_DE", "TZ": "Asia/Kathmandu"}
     for number, env in enumerate(({}, abroad)):
-        done = antdsl(folder, "run", "scene.yaml", "--out", f"out{number}", "--threads", str(number + 1), **env)
-        assert done.returncode == 0, done.stderr
-        found.append(read_lines(folder / f"out{number}" / HASHES))
-    assert len(found[0]) == 6 and found[0] == found[1]
+        result = antdsl(folder, "run", "scene.yaml", "--out", f"out{number}", "--threads", str(number + 1), **env)
+        assert result.returncode == 0, result.stderr
+        hashes.append(read_lines(folder / f"out{number}" / HASHES))
+    assert len(hashes[0]) == 6 and hashes[0] == hashes[1]
 
 
-def test_r7_a_value_that_is_wrong_everywhere_is_told_once(folder: Path) -> None:
+def test_r7_a_value_that_is_wrong_everywhere_is_reported_once(folder: Path) -> None:
     (folder / "scene.yaml").write_bytes(SCENE.replace(b"count: 20", b"count: 500"))
     program = PROJECT["walker.ant"].decode().replace("start stroll", "n = 0\n  start stroll")
     program = program.replace("{ steer wander(swing: 40 deg) }", "{\n    n = 1 / n\n    steer wander(swing: 40 deg)\n  }")
     (folder / "walker.ant").write_text(program)
-    done = CliRunner().invoke(app, ["run", str(folder / "scene.yaml"), "--on-fault", "quarantine"])
-    assert done.exit_code == 0, done.output
-    assert done.output.count("500 faults") == 1 and len(done.output.splitlines()) < 20
+    result = CliRunner().invoke(app, ["run", str(folder / "scene.yaml"), "--on-fault", "quarantine"])
+    assert result.exit_code == 0, result.output
+    assert result.output.count("500 faults") == 1 and len(result.output.splitlines()) < 20

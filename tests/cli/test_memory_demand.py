@@ -58,9 +58,9 @@ def test_any_memory_starts_all_the_same(tmp_path: Path, monkeypatch: pytest.Monk
     shot_of(tmp_path / "project", "count: 200", "count: 2")
     monkeypatch.setattr(available, "available_memory", lambda: 1)
     words = ("run", "project/scene.yaml", "--frames", "1..1", "--backend", "numpy")
-    done = commands.run(*words, cwd=tmp_path)
-    assert done.returncode == 3 and "scene.yaml:" in done.stderr and not (tmp_path / "project" / "out").exists()
+    result = commands.run(*words, cwd=tmp_path)
+    assert result.returncode == 3 and "scene.yaml:" in result.stderr and not (tmp_path / "project" / "out").exists()
     assert commands.run(*words, "--any-memory", cwd=tmp_path).returncode == 0
     words = ("sweep", "project/scene.yaml", "--frames", "1..1", "--seeds", "1", "--no-plots")
-    done = commands.run(*words, cwd=tmp_path)
-    assert done.returncode == 3 and "scene.yaml:" in done.stderr and "--any-memory" in done.stderr
+    result = commands.run(*words, cwd=tmp_path)
+    assert result.returncode == 3 and "scene.yaml:" in result.stderr and "--any-memory" in result.stderr

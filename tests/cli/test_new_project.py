@@ -46,32 +46,34 @@ def run(line: str, folder: Path, shell: dict[str, str]) -> subprocess.CompletedP
 
 def run_here(line: str, folder: Path) -> subprocess.CompletedProcess[str]:
     """The same in this process; a shell's `> file` is all that a line may have of a shell."""
-    line, led, file = line.partition(" > ")
-    done = commands.run(*shlex.split(line)[1:], cwd=folder)
-    if led:
-        (folder / file.strip()).write_text(done.stdout, encoding="utf-8")
-    return done
+    line, redirection, file = line.partition(" > ")
+    result = commands.run(*shlex.split(line)[1:], cwd=folder)
+    if redirection:
+        (folder / file.strip()).write_text(result.stdout, encoding="utf-8")
+    return result
 
 
 @pytest.fixture(scope="module")
 def project(tmp_path_factory: pytest.TempPathFactory, shell: dict[str, str]) -> Path:
     folder = tmp_path_factory.mktemp("new")
-    done = run("antdsl new walkers", folder, shell)
-    assert done.returncode == 0, done.stderr
+    result = run("antdsl new walkers", folder, shell)
+    assert result.returncode == 0, result.stderr
     return folder / "walkers"
 
 
 def test_all_the_files_are_there_and_no_other(project: Path) -> None:
-    found = {str(path.relative_to(project)) for path in project.rglob("*") if path.is_file()}
-    assert {*FILE, "ground.ply"} == found - {"antdsl.sarif", "antdsl-junit.xml", "walker.svg"} - {f for f in found if "out/" in f}
+    file_names = {str(path.relative_to(project)) for path in project.rglob("*") if path.is_file()}
+    assert {*FILE, "ground.ply"} == file_names - {"antdsl.sarif", "antdsl-junit.xml", "walker.svg"} - {
+        f for f in file_names if "out/" in f
+    }
 
 
 def test_the_workflow_passes_in_the_new_project(project: Path, shell: dict[str, str]) -> None:
     """Every line of the workflow that is ours, as it stands there."""
     assert [line.split()[1] for line in OURS] == ["fmt", "check", "check", "test"]
     for line in OURS:
-        done = run(line, project, shell)
-        assert done.returncode == 0, (line, done.stdout, done.stderr)
+        result = run(line, project, shell)
+        assert result.returncode == 0, (line, result.stdout, result.stderr)
     assert json.loads((project / "antdsl.sarif").read_text(encoding="utf-8"))["version"] == "2.1.0"
     junit = ElementTree.parse(project / "antdsl-junit.xml").getroot()
     assert int(junit.get("tests", "0")) >= 1 and junit.get("failures") == "0"
@@ -94,8 +96,8 @@ def test_the_workflow_fails_where_it_should(project: Path, tmp_path: Path) -> No
         codes = {line: run_here(line, folder).returncode for line in OURS}
         assert set(codes.values()) == {0, 1}, codes
         assert {line.split()[1] for line, code in codes.items() if code == 1} == failing, codes
-        found = json.loads((folder / "antdsl.sarif").read_text(encoding="utf-8"))["runs"][0]["results"]
-        assert bool(found) == ("check" in failing)
+        findings = json.loads((folder / "antdsl.sarif").read_text(encoding="utf-8"))["runs"][0]["results"]
+        assert bool(findings) == ("check" in failing)
 
 
 def test_a_step_after_a_failed_one_runs_and_files_are_those_that_are_written() -> None:
@@ -120,8 +122,8 @@ def test_a_step_after_a_failed_one_runs_and_files_are_those_that_are_written() -
 def test_the_hooks_pass_in_the_new_project_and_look_at_what_matters(project: Path, shell: dict[str, str]) -> None:
     for hook in HOOKS:
         files = [] if hook.get("pass_filenames", True) is False else [f for f in FILE if re.search(hook["files"], f)]
-        done = run(" ".join([hook["entry"], *files]), project, shell)
-        assert done.returncode == 0, (hook["id"], done.stdout, done.stderr)
+        result = run(" ".join([hook["entry"], *files]), project, shell)
+        assert result.returncode == 0, (hook["id"], result.stdout, result.stderr)
         assert re.search(hook["files"], "walker.ant") and not re.search(hook["files"], "README.md")
     assert [hook["id"] for hook in HOOKS] == ["antdsl-fmt", "antdsl-check", "antdsl-test"]
     assert (project / "walker.ant").read_text(encoding="utf-8") == FILE["walker.ant"]
@@ -132,9 +134,9 @@ def test_the_readme_of_the_project_works(project: Path) -> None:
     for line in first.splitlines():
         assert line.split()[1] in [command.name for command in COMMANDS]
         if "render" not in line:  # pictures take their time; tests of their own draw them
-            some = " --frames 1..4" if " run " in line else ""
-            done = run_here(line + some, project)
-            assert done.returncode == 0, (line, done.stdout, done.stderr)
+            frames_option = " --frames 1..4" if " run " in line else ""
+            result = run_here(line + frames_option, project)
+            assert result.returncode == 0, (line, result.stdout, result.stderr)
     assert (project / "out" / "scene").is_dir()  # what `antdsl render` is told to draw
     assert not [line for line in FILE[".gitignore"].splitlines() if not line.startswith("/")]
 

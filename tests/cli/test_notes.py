@@ -15,7 +15,7 @@ from antdsl.runtime.backends.native import backend as native_backend
 from antdsl.runtime.backends.native import ready
 
 WHY = "llvmlite is not there: install it"
-TOLD = f"NumPy runs instead of machine code, slower and with the same result: {WHY}\n"
+NOTE = f"NumPy runs instead of machine code, slower and with the same result: {WHY}\n"
 
 
 @pytest.fixture
@@ -36,23 +36,23 @@ def walkers(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 def test_a_run_tells(walkers: Path) -> None:
     for words in ((), ("--quiet",)):
-        done = commands.run("run", "walkers/scene.yaml", "--frames", "1..4", "--force", *words, cwd=walkers)
-        assert done.returncode == 0 and done.stderr.count(TOLD) == 1
-    done = commands.run("run", "walkers/scene.yaml", "--frames", "1..4", "--force", "--backend", "numpy", cwd=walkers)
-    assert "NumPy runs" not in done.stderr
+        result = commands.run("run", "walkers/scene.yaml", "--frames", "1..4", "--force", *words, cwd=walkers)
+        assert result.returncode == 0 and result.stderr.count(NOTE) == 1
+    result = commands.run("run", "walkers/scene.yaml", "--frames", "1..4", "--force", "--backend", "numpy", cwd=walkers)
+    assert "NumPy runs" not in result.stderr
 
 
 def test_specs_tell_once_for_all_runs(walkers: Path) -> None:
-    done = commands.run("test", "walkers", "--seeds", "2", "--quiet", "--no-keep", cwd=walkers)
-    assert done.returncode == 0 and done.stderr.count(TOLD) == 1
+    result = commands.run("test", "walkers", "--seeds", "2", "--quiet", "--no-keep", cwd=walkers)
+    assert result.returncode == 0 and result.stderr.count(NOTE) == 1
 
 
 def test_sweeps_tell_once_for_all_runs(walkers: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("antdsl.executors.Processes", InThisProcess)
     words = ("sweep", "walkers/scene.yaml", "--frames", "1..4", "--seeds", "2", "--no-plots")
-    for more in ((), ("--quiet", "--again")):
-        done = commands.run(*words, *more, cwd=walkers)
-        assert done.returncode == 0 and done.stderr.count(TOLD) == 1, done.stderr
+    for extra_words in ((), ("--quiet", "--again")):
+        result = commands.run(*words, *extra_words, cwd=walkers)
+        assert result.returncode == 0 and result.stderr.count(NOTE) == 1, result.stderr
 
 
 def test_the_preview_tells_once_and_as_it_comes(walkers: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -66,4 +66,4 @@ def test_the_preview_tells_once_and_as_it_comes(walkers: Path, capsys: pytest.Ca
         session.step()
         notes.stepped(session)
         said.append(capsys.readouterr().err)
-    assert said == ["", TOLD, "", ""]
+    assert said == ["", NOTE, "", ""]

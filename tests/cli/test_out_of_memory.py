@@ -37,8 +37,8 @@ PROBLEMS = (
 @pytest.mark.parametrize("problem", PROBLEMS, ids=lambda each: f"{type(each).__name__} {each}")
 def test_no_memory_is_exit_code_3_and_no_bug(tmp_path: Path, problem: Exception) -> None:
     with patch.object(type(app), "__call__", side_effect=problem):
-        done = commands.run("doctor", cwd=tmp_path)
-    assert done.returncode == 3 and done.stderr.startswith("error: out of memory")
+        result = commands.run("doctor", cwd=tmp_path)
+    assert result.returncode == 3 and result.stderr.startswith("error: out of memory")
 
 
 @pytest.mark.parametrize("problem", PROBLEMS, ids=lambda each: f"{type(each).__name__} {each}")
@@ -79,16 +79,16 @@ def test_only_a_process_that_is_not_started_is_out_of_memory_for_a_lack_of_resou
         raise BlockingIOError(errno.EAGAIN, os.strerror(errno.EAGAIN))
 
     for module in ("subprocess", "multiprocessing.popen_fork", "antdsl.checking"):
-        with pytest.raises(BlockingIOError) as found:
+        with pytest.raises(BlockingIOError) as error_info:
             FunctionType(start.__code__, {**globals(), "__name__": module})()
-        assert is_out_of_memory(found.value)
+        assert is_out_of_memory(error_info.value)
     reads, writes = os.pipe()
     os.set_blocking(reads, False)
-    with pytest.raises(BlockingIOError) as found:
+    with pytest.raises(BlockingIOError) as error_info:
         os.read(reads, 1)
     os.close(reads)
     os.close(writes)
-    assert found.value.errno == errno.EAGAIN and not is_out_of_memory(found.value)
+    assert error_info.value.errno == errno.EAGAIN and not is_out_of_memory(error_info.value)
     assert is_out_of_memory(RuntimeError("Resource temporarily unavailable")), "a C++ library that gets no thread"
 
 
@@ -101,18 +101,20 @@ def test_other_errors_are_not(problem: Exception | None) -> None:
 @pytest.mark.parametrize("mebibytes", [250, 350, 500, 700, 1000, 1500, 2500])
 def test_a_run_with_little_memory_ends_with_a_message(tmp_path: Path, mebibytes: int) -> None:
     assert commands.run("new", "project", cwd=tmp_path).returncode == 0
-    done = limited(
+    result = limited(
         tmp_path, mebibytes, "run", "project/scene.yaml", "--frames", "1..3", "--threads", "2", OPENBLAS_NUM_THREADS="2"
     )
-    assert done.returncode in (0, 3), done.stderr[-2000:]
-    assert "bug in antdsl" not in done.stderr
-    assert done.returncode == 0 or "error: " in done.stderr
+    assert result.returncode in (0, 3), result.stderr[-2000:]
+    assert "bug in antdsl" not in result.stderr
+    assert result.returncode == 0 or "error: " in result.stderr
 
 
 @pytest.mark.parametrize("command", [("check", "x.yaml"), ("run", "x.yaml")])
 def test_too_little_address_space_is_refused_before_libraries_end_the_process(tmp_path: Path, command: tuple[str, ...]) -> None:
-    done = limited(tmp_path, 150, *command)
-    assert done.returncode == 3 and done.stderr.startswith("error: out of memory: this process may have 150 MiB of address space")
+    result = limited(tmp_path, 150, *command)
+    assert result.returncode == 3 and result.stderr.startswith(
+        "error: out of memory: this process may have 150 MiB of address space"
+    )
     assert limited(tmp_path, 150, "--version").returncode == 0
 
 
@@ -126,8 +128,10 @@ def test_a_sound_usd_file_is_never_damaged_for_want_of_memory(tmp_path: Path, me
     assert "{mesh: ground.ply}" in text
     scene.write_text(text.replace("{mesh: ground.ply}", "{usd: ground.usda, prim: /ground}"))
     (tmp_path / "project" / "ground.usda").write_text(GOOD)
-    done = limited(tmp_path, mebibytes, "check", "project/scene.yaml")
-    assert (done.returncode == 0) or (done.returncode == 3 and "error: out of memory" in done.stderr), done.stdout + done.stderr
+    result = limited(tmp_path, mebibytes, "check", "project/scene.yaml")
+    assert (result.returncode == 0) or (result.returncode == 3 and "error: out of memory" in result.stderr), (
+        result.stdout + result.stderr
+    )
 
 
 def limited(folder: Path, mebibytes: int, *words: str, **variables: str) -> subprocess.CompletedProcess[str]:

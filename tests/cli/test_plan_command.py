@@ -20,9 +20,9 @@ EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
 
 
 def plan(*words: str, cwd: Path = EXAMPLES) -> str:
-    done = commands.run("plan", *words, cwd=cwd)
-    assert done.returncode == 0, done.stderr
-    return done.stdout
+    result = commands.run("plan", *words, cwd=cwd)
+    assert result.returncode == 0, result.stderr
+    return result.stdout
 
 
 def test_a_scene_has_the_plan_that_runs() -> None:
@@ -33,7 +33,7 @@ def test_a_scene_has_the_plan_that_runs() -> None:
     assert raw is not None and plan("minimal/scene.yaml", "--raw") == show(raw.plan) + "\n" != show(shot.plan) + "\n"
 
 
-def test_machine_code_is_told_of_the_scene_that_runs_it_and_lines_with_their_file(tmp_path: Path) -> None:
+def test_machine_code_is_that_of_the_scene_that_runs_it_and_lines_have_their_file(tmp_path: Path) -> None:
     """With level of detail another function asks rays, so that the code is another one."""
     need_llvmlite()
     shutil.copytree(EXAMPLES / "foraging", tmp_path / "far", ignore=shutil.ignore_patterns("out"))
@@ -43,8 +43,10 @@ def test_machine_code_is_told_of_the_scene_that_runs_it_and_lines_with_their_fil
     scene.write_text(scene.read_text(encoding="utf-8") + "lod: {near: 60 mm, far: 80 mm}\n", encoding="utf-8")
     shot, _ = open_scene(scene)
     assert shot is not None and shot.setting.detail is not None
-    there = plan("far/scene.yaml", "--native", cwd=tmp_path)
-    assert there == listing.show(listing.of_plan(shot.plan, machine.host(), Facts(moving=False, detail=True))) + "\n" != still
+    far_listing = plan("far/scene.yaml", "--native", cwd=tmp_path)
+    assert (
+        far_listing == listing.show(listing.of_plan(shot.plan, machine.host(), Facts(moving=False, detail=True))) + "\n" != still
+    )
     assert re.search(r"then NumPy: ray\(stones\), <steering>:\d+, 3 times\n", still)
     assert "asks for claim, forager.ant:51\n" in still
 
@@ -56,8 +58,8 @@ def test_the_code_itself_is_printed_with_and_without_the_other_word() -> None:
     assert code.startswith(plan("minimal/scene.yaml", "--native"))
 
 
-def test_why_there_is_no_machine_code_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_reason_for_missing_machine_code_is_given(monkeypatch: pytest.MonkeyPatch) -> None:
     why = "llvmlite 0.30 is too old: install another"
     monkeypatch.setattr(machine, "unavailable", lambda: why)
-    done = commands.run("plan", "minimal/scene.yaml", "--native", cwd=EXAMPLES)
-    assert done.returncode == 1 and done.stderr.startswith("error: ") and why in done.stderr
+    result = commands.run("plan", "minimal/scene.yaml", "--native", cwd=EXAMPLES)
+    assert result.returncode == 1 and result.stderr.startswith("error: ") and why in result.stderr

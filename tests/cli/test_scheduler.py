@@ -32,46 +32,46 @@ def scene(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         (("tcp://127.0.0.1:99999",), "is no scheduler"),
     ],
 )
-def test_only_what_is_safe_is_spoken_to(words: tuple[str, ...], told: str) -> None:
+def test_only_safe_schedulers_are_contacted(words: tuple[str, ...], told: str) -> None:
     for command in (("sweep", "walkers/scene.yaml", "--seeds", "1"), ("run", "walkers/scene.yaml")):
-        done = CliRunner().invoke(app, [*command, "--scheduler", *words], env={"COLUMNS": "400"})
-        assert done.exit_code == 2 and told in done.output
+        result = CliRunner().invoke(app, [*command, "--scheduler", *words], env={"COLUMNS": "400"})
+        assert result.exit_code == 2 and told in result.output
 
 
 @pytest.mark.parametrize("flag", [("--tls", "walkers"), ("--no-tls",)])
-def test_words_of_a_scheduler_that_is_not_named_are_told(flag: tuple[str, ...]) -> None:
+def test_options_of_an_unnamed_scheduler_are_refused(flag: tuple[str, ...]) -> None:
     scene = "walkers/scene.yaml"
     for command in (("sweep", scene), ("run", scene), ("render", "walkers"), ("export", "walkers", "--to", "a.ply")):
-        done = CliRunner().invoke(app, [*command, *flag], env={"COLUMNS": "400"})
-        assert done.exit_code == 2 and "name it with `--scheduler tls://HOST:8786`" in done.output
+        result = CliRunner().invoke(app, [*command, *flag], env={"COLUMNS": "400"})
+        assert result.exit_code == 2 and "name it with `--scheduler tls://HOST:8786`" in result.output
 
 
-def test_certificates_that_are_none_are_told(tmp_path: Path) -> None:
+def test_bad_certificates_are_reported(tmp_path: Path) -> None:
     pytest.importorskip("cryptography")
     pytest.importorskip("distributed")
     tls = certificates(tmp_path / "tls")
     words = ["sweep", "walkers/scene.yaml", "--scheduler", "tls://127.0.0.1:1", "--tls", str(tls)]
-    whole = (tls / "key.pem").read_text()
-    for name, text, told in (("key.pem", "none", "cert.pem` and `key.pem`"), ("ca.pem", "none", "ca.pem` is no certificate")):
+    key_text = (tls / "key.pem").read_text()
+    for name, text, message in (("key.pem", "none", "cert.pem` and `key.pem`"), ("ca.pem", "none", "ca.pem` is no certificate")):
         (tls / name).write_text(text)
-        done = CliRunner().invoke(app, words, env={"COLUMNS": "400"})
-        assert done.exit_code == 2 and told in done.output
-        (tls / "key.pem").write_text(whole)
+        result = CliRunner().invoke(app, words, env={"COLUMNS": "400"})
+        assert result.exit_code == 2 and message in result.output
+        (tls / "key.pem").write_text(key_text)
 
 
-def test_without_the_extra_it_is_told_how_to_install_it(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_the_extra_the_message_says_how_to_install_it(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
-    done = CliRunner().invoke(app, ["sweep", "walkers/scene.yaml", "--seeds", "1", "--scheduler", "local", "--no-plots"])
-    assert isinstance(done.exception, Stop) and "pip install 'antdsl[cluster]'" in done.exception.hint
+    result = CliRunner().invoke(app, ["sweep", "walkers/scene.yaml", "--seeds", "1", "--scheduler", "local", "--no-plots"])
+    assert isinstance(result.exception, Stop) and "pip install 'antdsl[cluster]'" in result.exception.hint
 
 
 def test_processes_are_what_runs_without_one(monkeypatch: pytest.MonkeyPatch) -> None:
-    asked = []
+    executor_calls = []
 
-    def run_all(todo: object, executors: object, told: object, noted: object) -> list[object]:
-        asked.append(executors)
+    def run_all(todo: object, executors: object, report: object, noted: object) -> list[object]:
+        executor_calls.append(executors)
         return []
 
     monkeypatch.setattr("antdsl.sweep.run_all", run_all)
     assert CliRunner().invoke(app, ["sweep", "walkers/scene.yaml", "--seeds", "2", "--no-plots"]).exit_code == 0
-    assert isinstance(asked[0], Processes)
+    assert isinstance(executor_calls[0], Processes)

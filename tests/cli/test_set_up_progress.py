@@ -29,12 +29,12 @@ def stage_twice(clock: list[float] | None = None) -> None:
 
 
 def test_a_terminal_shows_each_stage_and_takes_it_away(monkeypatch: pytest.MonkeyPatch) -> None:
-    shown = Terminal()
-    monkeypatch.setattr(sys, "stdout", shown)
+    terminal = Terminal()
+    monkeypatch.setattr(sys, "stdout", terminal)
     monkeypatch.setenv("TERM", "xterm")
     with set_up(quiet=False):
         stage_twice()
-    text = shown.getvalue()
+    text = terminal.getvalue()
     assert "set up: feet" in text and text.endswith("\x1b[2K"), "the line is cleared"
 
 
@@ -49,18 +49,18 @@ def test_a_pipe_has_a_line_after_five_seconds(monkeypatch: pytest.MonkeyPatch, c
 
 
 def test_quiet_shows_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
-    shown = Terminal()
-    monkeypatch.setattr(sys, "stdout", shown)
+    terminal = Terminal()
+    monkeypatch.setattr(sys, "stdout", terminal)
     with set_up(quiet=True):
         stage_twice()
-    assert shown.getvalue() == ""
+    assert terminal.getvalue() == ""
 
 
 def test_only_large_tables_that_are_computed_are_stages(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv(stored_tables.KIND.variable, "")
     stored_tables.forget()
-    seen: list[str] = []
-    with stages.reported(seen.append):
+    stage_names: list[str] = []
+    with stages.reported(stage_names.append):
         for size in (20, 124_000):
             stored_tables.stored("cuts", size, (np.arange(3),), lambda: {"found": np.arange(3)})
         other = Thread(target=stages.begin, args=("of another thread",))
@@ -68,4 +68,4 @@ def test_only_large_tables_that_are_computed_are_stages(monkeypatch: pytest.Monk
         other.join()
     stages.begin("afterwards")
     stored_tables.forget()
-    assert seen == ["cuts of 124,000 faces"]
+    assert stage_names == ["cuts of 124,000 faces"]

@@ -148,9 +148,9 @@ def start(words: list[str], folder: Path, use: Use, stream: str, state: str) -> 
             os.close(ends.pop())
         elif state == "slow":
             fill(target)
-    with log.open("wb") as other, (folder / "stdin").open("wb") as given:
-        given.write(use.stdin)
-        given.flush()
+    with log.open("wb") as other, (folder / "stdin").open("wb") as stdin_file:
+        stdin_file.write(use.stdin)
+        stdin_file.flush()
         with (folder / "stdin").open("rb") as stdin:
             outputs = (target, other) if number == 1 else (other, target)
             command = [sys.executable, "-m", "antdsl", *words]
@@ -295,12 +295,12 @@ def test_notes_do_not_wait_for_a_slow_reader(monkeypatch: pytest.MonkeyPatch) ->
 
 
 def test_standard_input_that_does_not_block_is_waited_for(tmp_path: Path) -> None:
-    given, writing = os.pipe()
-    os.set_blocking(given, False)
+    read_end, write_end = os.pipe()
+    os.set_blocking(read_end, False)
     words = [sys.executable, "-P", "-m", "antdsl", "fmt", "-"]
-    process = subprocess.Popen(words, cwd=tmp_path, env=child_environment(), stdin=given, stdout=subprocess.PIPE)
-    os.close(given)
-    with os.fdopen(writing, "wb") as sending:
+    process = subprocess.Popen(words, cwd=tmp_path, env=child_environment(), stdin=read_end, stdout=subprocess.PIPE)
+    os.close(read_end)
+    with os.fdopen(write_end, "wb") as sending:
         time.sleep(0.2)  # whether it reads before or after what comes now changes nothing
         sending.write(b"ant 1\nspecies  moth { state rest { } }\n")
     assert process.communicate()[0].startswith(b"ant 1\n") and process.returncode == 0
@@ -309,6 +309,6 @@ def test_standard_input_that_does_not_block_is_waited_for(tmp_path: Path) -> Non
 def test_a_working_directory_that_was_removed_is_named(tmp_path: Path) -> None:
     code = "import os, sys; os.mkdir('gone'); os.chdir('gone'); os.rmdir('../gone'); os.execv(sys.executable, sys.argv[1:])"
     words = [sys.executable, "-P", "-c", code, sys.executable, "-m", "antdsl", "check", str(tmp_path / "absent.ant")]
-    done = subprocess.run(words, cwd=tmp_path, env=child_environment(), capture_output=True, text=True)
-    assert done.returncode == 3 and "Traceback" not in done.stderr, done.stderr
-    assert "working directory was removed" in done.stderr or "absent.ant" in done.stdout
+    result = subprocess.run(words, cwd=tmp_path, env=child_environment(), capture_output=True, text=True)
+    assert result.returncode == 3 and "Traceback" not in result.stderr, result.stderr
+    assert "working directory was removed" in result.stderr or "absent.ant" in result.stdout

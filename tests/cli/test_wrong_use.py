@@ -24,8 +24,8 @@ from commands import run
 )
 def test_wrong_use_says_what_to_write(tmp_path: Path, words: tuple[str, ...], said: str) -> None:
     (tmp_path / "shot.yaml").write_text("antdsl: 1\n")
-    done = run(*words, cwd=tmp_path)
-    assert done.returncode == 2 and said in " ".join(done.stderr.split()), done.stderr
+    result = run(*words, cwd=tmp_path)
+    assert result.returncode == 2 and said in " ".join(result.stderr.split()), result.stderr
 
 
 def test_an_export_of_ids_that_no_agent_has_says_so(tmp_path: Path) -> None:
@@ -36,11 +36,11 @@ def test_an_export_of_ids_that_no_agent_has_says_so(tmp_path: Path) -> None:
         ("0,9998..9999", "2 of the ids, such as 9998"),
         ("0", ""),
     ):
-        done = run("export", "p/out/scene", "--to", "x.csv", "--ids", ids, cwd=tmp_path)
-        assert done.returncode == 0 and note in done.stdout and bool(note) == ("note:" in done.stdout)
+        result = run("export", "p/out/scene", "--to", "x.csv", "--ids", ids, cwd=tmp_path)
+        assert result.returncode == 0 and note in result.stdout and bool(note) == ("note:" in result.stdout)
 
 
 def test_new_quotes_the_commands_that_it_prints(tmp_path: Path) -> None:
     name = 'my "new" $proj'
-    done = run("new", name, cwd=tmp_path)
-    assert f"  {shlex.join(['antdsl', 'test', name])}\n" in done.stdout
+    result = run("new", name, cwd=tmp_path)
+    assert f"  {shlex.join(['antdsl', 'test', name])}\n" in result.stdout

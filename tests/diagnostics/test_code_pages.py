@@ -80,8 +80,8 @@ def test_the_pages_go_with_the_package() -> None:
 def test_explain_shows_the_page() -> None:
     environment = child_environment()
     command = [sys.executable, "-m", "antdsl", "check", "--explain", "unknown-state"]
-    done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=60, encoding="utf-8")
-    assert done.stdout == (PAGES / "unknown-state.md").read_text(encoding="utf-8")
+    result = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=60, encoding="utf-8")
+    assert result.stdout == (PAGES / "unknown-state.md").read_text(encoding="utf-8")
 
 
 def test_check_leads_to_the_page_once_and_for_people_only(tmp_path: Path) -> None:
@@ -114,9 +114,9 @@ def test_explain_is_laid_out_on_a_terminal(monkeypatch: pytest.MonkeyPatch, caps
     monkeypatch.setattr("sys.stdout.isatty", lambda: True)
     monkeypatch.setenv("COLUMNS", "100")
     pages.show_page("unknown-state")
-    shown = capsys.readouterr().out
-    assert "did you mean `stroll`?" in shown and "when after 1 s -> strol }" in shown
-    assert "```" not in shown and "## " not in shown
+    output = capsys.readouterr().out
+    assert "did you mean `stroll`?" in output and "when after 1 s -> strol }" in output
+    assert "```" not in output and "## " not in output
 
 
 def explained(*words: str) -> tuple[int, str]:
@@ -124,9 +124,9 @@ def explained(*words: str) -> tuple[int, str]:
 
     from antdsl.cli import app
 
-    done = CliRunner().invoke(app, ["check", "--explain", *words])
-    said = done.stdout if done.exception is None else f"{done.exception.message}\n{done.exception.hint}"  # type: ignore[attr-defined]
-    return done.exit_code, said
+    result = CliRunner().invoke(app, ["check", "--explain", *words])
+    said = result.stdout if result.exception is None else f"{result.exception.message}\n{result.exception.hint}"  # type: ignore[attr-defined]
+    return result.exit_code, said
 
 
 @pytest.mark.parametrize(
@@ -163,13 +163,13 @@ def test_a_word_that_is_not_known_has_one_that_is_like_it(word: str, meant: str)
 
 
 def test_all_words_of_the_card_are_explained() -> None:
-    from antdsl.lsp.language import about, words
+    from antdsl.lsp.language import explain_word, words
 
     rows = (ROOT / "docs" / "card.md").read_text(encoding="utf-8")
     card = set(re.findall(r"(?<![A-Za-z_.])[a-z_]{2,}(?![A-Za-z_0-9])|%", " ".join(re.findall(r"`([^`]+)`", rows))))
     placeholders = {"attribute", "behaviours", "colour", "comment", "help", "label", "mine", "name", "rate", "scene"}
-    assert sorted(word for word in card - placeholders if about(word) is None) == []
-    assert all(about(word) is not None for word in words())
+    assert sorted(word for word in card - placeholders if explain_word(word) is None) == []
+    assert all(explain_word(word) is not None for word in words())
 
 
 def test_the_last_line_names_the_codes_that_were_shown(tmp_path: Path) -> None:
@@ -213,11 +213,11 @@ def test_units_that_are_made_of_others_are_explained(unit: str) -> None:
 
 
 def test_every_unit_of_the_documents_is_explained() -> None:
-    from antdsl.lsp.language import about
+    from antdsl.lsp.language import explain_word
 
     text = "\n".join(path.read_text(encoding="utf-8") for path in [ROOT / "grammar" / "README.md", *(ROOT / "docs").glob("*.md")])
     units = set(re.findall(r"(?<![\w./])[0-9][0-9.]* ?((?:%|[a-zA-Z]+)?(?:\^[0-9])?/(?:s|step)(?:\^[0-9])?)(?![\w/])", text))
-    assert len(units) > 4 and sorted(unit for unit in units if about(unit) is None) == []
+    assert len(units) > 4 and sorted(unit for unit in units if explain_word(unit) is None) == []
 
 
 @pytest.mark.parametrize(
@@ -241,7 +241,7 @@ def test_each_meaning_of_a_word_stands_apart_with_a_sample(word: str, meanings: 
         assert part.count("\n```") >= 2, part
 
 
-def test_a_slip_in_a_unit_is_told() -> None:
+def test_a_slip_in_a_unit_is_reported() -> None:
     assert "write `s`" in explained("mm/sec")[1]
 
 
@@ -291,8 +291,8 @@ def test_samples_of_lines_and_scenes_can_be_read() -> None:
     from antdsl.scene.paths import Roots
     from antdsl.syntax import parse
 
-    places = ("{}", "species a {{ {} }}", "species a {{ state s {{ {} }} }}", 'spec "s" on "s.yaml" {{ {} }}')
-    places += ('spec "s" on "s.yaml" {{ each a {{ {} }} }}', "species a {{ let x = {} }}", "species a {{ on e {{ {} }} }}")
+    templates = ("{}", "species a {{ {} }}", "species a {{ state s {{ {} }} }}", 'spec "s" on "s.yaml" {{ {} }}')
+    templates += ('spec "s" on "s.yaml" {{ each a {{ {} }} }}', "species a {{ let x = {} }}", "species a {{ on e {{ {} }} }}")
     for form in (
         *INNER_FORMS.values(),
         *KIND_FORMS.values(),
@@ -300,7 +300,7 @@ def test_samples_of_lines_and_scenes_can_be_read() -> None:
         *VALUE_FORMS.values(),
         *WHOLE_FORMS.values(),
     ):
-        texts = [f"ant 1\n{place.format(form)}\n" for place in places]
+        texts = [f"ant 1\n{place.format(form)}\n" for place in templates]
         assert any(parse(Source("a.ant", text))[1].ok for text in texts), form
     for form in SCENE_FORMS.values():
         text = form if form.startswith("antdsl:") else f"antdsl: 1\n{form}"

@@ -25,9 +25,9 @@ def span(part: str, source: Source = SOURCE) -> Span:
     return Span(source, start, start + len(part))
 
 
-def one(**more: object) -> Report:
+def one(**fields: object) -> Report:
     place = span("forage")
-    parts = {"code": "unknown-state", "message": "no state `forage`", "span": place, "help": "did you mean `foraging`?", **more}
+    parts = {"code": "unknown-state", "message": "no state `forage`", "span": place, "help": "did you mean `foraging`?", **fields}
     return Report([Diagnostic(**parts)])  # type: ignore[arg-type]
 
 
@@ -111,9 +111,9 @@ def test_github_escapes_what_ends_a_command() -> None:
 def test_sarif_has_rules_and_fingerprints_that_survive_moved_lines() -> None:
     def results(text: str) -> list[dict]:
         source = Source("my files/a.ant", text)
-        places = [match.start() for match in re.finditer("bad", text)]
+        positions = [match.start() for match in re.finditer("bad", text)]
         report = Report(
-            [Diagnostic("bad-name", "m", Span(source, at, at + 3), fix=Fix(Span(source, at, at + 3), "x")) for at in places]
+            [Diagnostic("bad-name", "m", Span(source, at, at + 3), fix=Fix(Span(source, at, at + 3), "x")) for at in positions]
         )
         run = json.loads(render(report, "sarif"))["runs"][0]
         (rule,) = run["tool"]["driver"]["rules"]
@@ -121,15 +121,15 @@ def test_sarif_has_rules_and_fingerprints_that_survive_moved_lines() -> None:
         assert "## Right" in rule["help"]["markdown"] == rule["help"]["text"]
         return run["results"]
 
-    before, after = results("bad\nbad\n"), results("# new\n\nbad\nbad\n")
-    prints = [each["partialFingerprints"]["primaryLocationLineHash"] for each in before]
-    assert prints == [each["partialFingerprints"]["primaryLocationLineHash"] for each in after] and len(set(prints)) == 2
-    place = after[0]["locations"][0]["physicalLocation"]
+    old_results, new_results = results("bad\nbad\n"), results("# new\n\nbad\nbad\n")
+    prints = [each["partialFingerprints"]["primaryLocationLineHash"] for each in old_results]
+    assert prints == [each["partialFingerprints"]["primaryLocationLineHash"] for each in new_results] and len(set(prints)) == 2
+    place = new_results[0]["locations"][0]["physicalLocation"]
     assert place == {
         "artifactLocation": {"uri": "my%20files/a.ant"},
         "region": {"startLine": 3, "startColumn": 1, "endLine": 3, "endColumn": 4},
     }
-    assert after[0]["fixes"][0]["artifactChanges"][0]["replacements"][0]["insertedContent"] == {"text": "x"}
+    assert new_results[0]["fixes"][0]["artifactChanges"][0]["replacements"][0]["insertedContent"] == {"text": "x"}
 
 
 def test_junit_counts_errors_and_is_xml_whatever_the_text() -> None:
@@ -194,8 +194,8 @@ def test_nearest_name(word: str, names: list[str], found: str | None) -> None:
 
 @pytest.mark.parametrize("text", ["`{}` has an unknown unit", "`{}` and ``", "{} without quotes"])
 def test_messages_cut_long_values(text: str) -> None:
-    found = Diagnostic("wrong-value", text.format("m" * 9000), None, help=text.format("k" * 9000))
-    assert len(found.message) <= 1500 and len(found.help or "") <= 1500 and "…" in found.message
-    assert found.message.split("…")[-1] == ("" if "without" in text else text.partition("{}")[2])
+    diagnostic = Diagnostic("wrong-value", text.format("m" * 9000), None, help=text.format("k" * 9000))
+    assert len(diagnostic.message) <= 1500 and len(diagnostic.help or "") <= 1500 and "…" in diagnostic.message
+    assert diagnostic.message.split("…")[-1] == ("" if "without" in text else text.partition("{}")[2])
     short = Diagnostic("wrong-value", text.format("m" * 100), None)
     assert short.message == text.format("m" * 100)

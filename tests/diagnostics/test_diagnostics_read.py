@@ -46,13 +46,15 @@ def strict(required: list[str], **properties: Any) -> dict[str, Any]:
     return {"type": "object", "properties": properties, "required": required, "additionalProperties": False}
 
 
-def rows(of: dict[str, Any], **more: Any) -> dict[str, Any]:
-    return {"type": "array", "items": of, **more}
+def rows(of: dict[str, Any], **extra: Any) -> dict[str, Any]:
+    return {"type": "array", "items": of, **extra}
 
 
-WHOLE = {"type": "integer", "minimum": 1}
+POSITIVE_INTEGER = {"type": "integer", "minimum": 1}
 URI = {"type": "string", "pattern": r"^[^\\ ]*$"}
-REGION = strict(["startLine"], startLine=WHOLE, startColumn=WHOLE, endLine=WHOLE, endColumn=WHOLE)
+REGION = strict(
+    ["startLine"], startLine=POSITIVE_INTEGER, startColumn=POSITIVE_INTEGER, endLine=POSITIVE_INTEGER, endColumn=POSITIVE_INTEGER
+)
 FILE = strict([], uri=URI)
 PLACE = strict(["artifactLocation"], artifactLocation=FILE, region=REGION)
 REPLACEMENT = strict(["deletedRegion"], deletedRegion=REGION, insertedContent=strict([], text={"type": "string"}))
@@ -101,7 +103,7 @@ LOG = {
 
 
 @pytest.fixture
-def found(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Report:
+def findings(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Report:
     monkeypatch.chdir(tmp_path)
     (tmp_path / "my walker.ant").write_text(TEXT, encoding="utf-8")
     report = check_path(Path("my walker.ant"))[1]
@@ -113,8 +115,8 @@ def found(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Report:
     return report
 
 
-def test_sarif_keeps_to_the_standard(found: Report) -> None:
-    for report in (found, Report()):
+def test_sarif_keeps_to_the_standard(findings: Report) -> None:
+    for report in (findings, Report()):
         log = json.loads(render(report, "sarif"))
         jsonschema.validate(log, LOG)
         (run,) = log["runs"]
@@ -124,17 +126,17 @@ def test_sarif_keeps_to_the_standard(found: Report) -> None:
 
 
 @pytest.mark.skipif("SARIF_SCHEMA" not in os.environ, reason="SARIF_SCHEMA does not name a file with the schema of SARIF 2.1.0")
-def test_sarif_is_valid_by_the_whole_schema(found: Report) -> None:
+def test_sarif_is_valid_by_the_whole_schema(findings: Report) -> None:
     schema = json.loads(Path(os.environ["SARIF_SCHEMA"]).read_text(encoding="utf-8-sig"))
-    for report in (found, Report()):
+    for report in (findings, Report()):
         jsonschema.validate(json.loads(render(report, "sarif")), schema)
 
 
-def test_sarif_fixes_can_be_applied(found: Report) -> None:
+def test_sarif_fixes_can_be_applied(findings: Report) -> None:
     """Taken as a service takes them: by line and column of the file as it lies there."""
     lines = TEXT.split("\n")
-    seen = 0
-    for result in json.loads(render(found, "sarif"))["runs"][0]["results"]:
+    fix_count = 0
+    for result in json.loads(render(findings, "sarif"))["runs"][0]["results"]:
         for fix in result.get("fixes", ()):
             (change,) = fix["artifactChanges"]
             (replacement,) = change["replacements"]
@@ -144,8 +146,8 @@ def test_sarif_fixes_can_be_applied(found: Report) -> None:
             mended = line[: region["startColumn"] - 1] + replacement["insertedContent"]["text"] + line[region["endColumn"] - 1 :]
             report = check_path_of(lines, region["startLine"], mended)
             assert result["message"]["text"] not in {f"{d.message}\nhelp: {d.help}" for d in report.diagnostics}
-            seen += 1
-    assert seen >= 2
+            fix_count += 1
+    assert fix_count >= 2
 
 
 def check_path_of(lines: list[str], number: int, line: str) -> Report:
@@ -154,9 +156,9 @@ def check_path_of(lines: list[str], number: int, line: str) -> Report:
     return check_path(path)[1]
 
 
-def test_junit_is_read_by_a_reader_of_others(found: Report, tmp_path: Path) -> None:
+def test_junit_is_read_by_a_reader_of_others(findings: Report, tmp_path: Path) -> None:
     junitparser = pytest.importorskip("junitparser", reason="needs the extra [test]")
-    for report in (found, Report()):
+    for report in (findings, Report()):
         path = tmp_path / "report.xml"
         path.write_text(render(report, "junit"), encoding="utf-8")
         suites = list(junitparser.JUnitXml.fromfile(str(path)))

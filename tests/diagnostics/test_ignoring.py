@@ -29,7 +29,7 @@ species walker {
 """
 
 
-def told(tmp_path: Path, above: str = "", beside: str = "", strict: bool = False) -> list[tuple[str, str]]:
+def check_text(tmp_path: Path, above: str = "", beside: str = "", strict: bool = False) -> list[tuple[str, str]]:
     path = tmp_path / "walker.ant"
     path.write_text(TEXT.replace("{above}", above).replace("{beside}", beside))
     _, report = check_path(path, strict=strict)
@@ -37,8 +37,8 @@ def told(tmp_path: Path, above: str = "", beside: str = "", strict: bool = False
     return [(d.code, d.help or "") for d in judged(report, [source], strict=strict).diagnostics]
 
 
-def test_without_a_comment_the_warning_is_told(tmp_path: Path) -> None:
-    assert [code for code, _ in told(tmp_path)] == ["unread-attribute"]
+def test_without_a_comment_the_warning_is_given(tmp_path: Path) -> None:
+    assert [code for code, _ in check_text(tmp_path)] == ["unread-attribute"]
 
 
 @pytest.mark.parametrize(
@@ -51,18 +51,23 @@ def test_without_a_comment_the_warning_is_told(tmp_path: Path) -> None:
     ],
 )
 def test_a_comment_with_a_reason_takes_the_warning_away(tmp_path: Path, above: str, beside: str) -> None:
-    assert told(tmp_path, above, beside) == []
+    assert check_text(tmp_path, above, beside) == []
 
 
 def test_a_comment_without_a_reason_is_a_finding_itself(tmp_path: Path) -> None:
-    assert [code for code, _ in told(tmp_path, beside="# antdsl: ignore[unread-attribute]")] == ["ignore-without-reason"]
+    assert [code for code, _ in check_text(tmp_path, beside="# antdsl: ignore[unread-attribute]")] == ["ignore-without-reason"]
 
 
 def test_a_comment_that_ignores_nothing_is_a_finding_itself(tmp_path: Path) -> None:
-    assert [code for code, _ in told(tmp_path, above="# antdsl: ignore[unread-attribute, flicker] both")] == ["ignored-nothing"]
-    found = told(tmp_path, beside="# antdsl: ignore[unraed-attribute] the renderer reads it")
-    assert ("ignored-nothing", "did you mean `unread-attribute`?") in found and len(found) == 2
-    assert {code for code, _ in told(tmp_path, beside="# antdsl: ignore[] why not")} == {"ignored-nothing", "unread-attribute"}
+    assert [code for code, _ in check_text(tmp_path, above="# antdsl: ignore[unread-attribute, flicker] both")] == [
+        "ignored-nothing"
+    ]
+    findings = check_text(tmp_path, beside="# antdsl: ignore[unraed-attribute] the renderer reads it")
+    assert ("ignored-nothing", "did you mean `unread-attribute`?") in findings and len(findings) == 2
+    assert {code for code, _ in check_text(tmp_path, beside="# antdsl: ignore[] why not")} == {
+        "ignored-nothing",
+        "unread-attribute",
+    }
 
 
 def test_only_warnings_are_ignored(tmp_path: Path) -> None:
@@ -89,17 +94,17 @@ def test_text_in_quotes_is_no_comment() -> None:
 
 
 def test_the_command_ignores_and_takes_patterns(tmp_path: Path) -> None:
-    told(tmp_path, beside="# antdsl: ignore[unread-attribute] the renderer reads it")
+    check_text(tmp_path, beside="# antdsl: ignore[unread-attribute] the renderer reads it")
     (tmp_path / "shots" / "deep").mkdir(parents=True)
     (tmp_path / "shots" / "deep" / "b.ant").write_text("ant 1\nspecies a { state s { steer headin } }\n")
     command = [sys.executable, "-m", "antdsl", "check", "--strict", "--format", "json"]
-    done = subprocess.run([*command, "*.ant"], cwd=tmp_path, env={"PYTHONPATH": str(ROOT)}, capture_output=True, text=True)
-    assert (done.returncode, json.loads(done.stdout)["diagnostics"]) == (0, []), done.stderr
-    done = subprocess.run([*command, "**/*.ant"], cwd=tmp_path, env={"PYTHONPATH": str(ROOT)}, capture_output=True, text=True)
-    assert done.returncode == 1 and [d["code"] for d in json.loads(done.stdout)["diagnostics"]] == ["unknown-name"]
+    result = subprocess.run([*command, "*.ant"], cwd=tmp_path, env={"PYTHONPATH": str(ROOT)}, capture_output=True, text=True)
+    assert (result.returncode, json.loads(result.stdout)["diagnostics"]) == (0, []), result.stderr
+    result = subprocess.run([*command, "**/*.ant"], cwd=tmp_path, env={"PYTHONPATH": str(ROOT)}, capture_output=True, text=True)
+    assert result.returncode == 1 and [d["code"] for d in json.loads(result.stdout)["diagnostics"]] == ["unknown-name"]
 
 
-def test_a_pattern_that_matches_nothing_is_told(tmp_path: Path) -> None:
+def test_a_pattern_that_matches_nothing_is_reported(tmp_path: Path) -> None:
     (tmp_path / "[odd].ant").write_text("ant 1\n")
     files, report = find_files([tmp_path / "[odd].ant"])  # a name that is there is no pattern
     assert len(files) == 1 and report.ok
@@ -107,10 +112,10 @@ def test_a_pattern_that_matches_nothing_is_told(tmp_path: Path) -> None:
     assert files == [] and [d.code for d in report.errors] == ["no-such-file"]
 
 
-def test_beside_an_error_nobody_says_that_a_comment_ignores_nothing(tmp_path: Path) -> None:
+def test_beside_an_error_no_unused_comment_is_reported(tmp_path: Path) -> None:
     """What it ignores is not looked for then."""
-    found = told(tmp_path, beside="# antdsl: ignore[unread-attribute] kept for later")
-    assert found == []
+    findings = check_text(tmp_path, beside="# antdsl: ignore[unread-attribute] kept for later")
+    assert findings == []
     file = next(tmp_path.glob("*.ant"))
     file.write_text(file.read_text().replace("ant 1\n", "ant 1\nuse stearing\n"))
     report = check_path(file)[1]
@@ -122,13 +127,13 @@ def test_codes_that_were_not_looked_for_are_not_judged(tmp_path: Path) -> None:
     """Only a run finds `no-room`, and an editor reads no meshes."""
     source = Source("scene.yaml", "antdsl: 1  # antdsl: ignore[no-room, far-away, flicker] all three are meant\n")
     for meshes, idle in ((True, ["far-away", "flicker"]), (False, ["flicker"])):
-        found = judged(Report(), [source], meshes=meshes).diagnostics
-        assert [(d.code, d.message.split("`")[1]) for d in found] == [("ignored-nothing", code) for code in idle]
+        findings = judged(Report(), [source], meshes=meshes).diagnostics
+        assert [(d.code, d.message.split("`")[1]) for d in findings] == [("ignored-nothing", code) for code in idle]
     assert CODES.keys() >= STRICT_CODES | MESH_CODES | RUN_CODES
 
 
 def test_a_scene_that_writes_an_attribute_reads_it(tmp_path: Path) -> None:
-    told(tmp_path)
+    check_text(tmp_path)
     program = tmp_path / "walker.ant"
     scene = "antdsl: 1\ncrowd: [{species: walker, from: walker.ant, count: 1}]\n"
     (tmp_path / "plain.yaml").write_text(scene)
@@ -141,6 +146,6 @@ def test_a_scene_that_writes_an_attribute_reads_it(tmp_path: Path) -> None:
         report.extend(checked.reports[file])
     assert len(files) == 3 and report.diagnostics == []
     # the comment is needed where the program is checked alone, so nobody says that it ignores nothing
-    assert told(tmp_path, beside="# antdsl: ignore[unread-attribute] the renderer reads it") == []
+    assert check_text(tmp_path, beside="# antdsl: ignore[unread-attribute] the renderer reads it") == []
     report = check_path(tmp_path / "written.yaml")[1]
     assert judged(report, [Source(str(program), program.read_text())]).diagnostics == []

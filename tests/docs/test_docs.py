@@ -57,7 +57,7 @@ class Block:
         return self.info.split()
 
     @property
-    def wanted_error(self) -> str | None:
+    def expected_error(self) -> str | None:
         return next((word.removeprefix("error=") for word in self.words if word.startswith("error=")), None)
 
 
@@ -83,7 +83,7 @@ def of_kind(kind: str) -> list[Block]:
     return [block for block in ALL if block.words[:1] == [kind]]
 
 
-def whole(block: Block) -> str:
+def complete_text(block: Block) -> str:
     """The block's text as a file that can be checked."""
     part = next((word.removeprefix("fragment-of-") for word in block.words if word.startswith("fragment-of-")), None)
     if part is None:
@@ -100,8 +100,8 @@ def whole(block: Block) -> str:
         layers = "" if "layers " in text else "  layers { state }\n"
         return WORLD + TRAIL + "species forager {\n" + text + rest + layers + "}\n"
     if part == "state":
-        before = WORLD + TRAIL + "species forager {\n" + ATTRIBUTES + "  start search\n  state search {\n"
-        return before + text + "  }\n" + RESTING + "  layers { state }\n}\n"
+        prefix = WORLD + TRAIL + "species forager {\n" + ATTRIBUTES + "  start search\n  state search {\n"
+        return prefix + text + "  }\n" + RESTING + "  layers { state }\n}\n"
     assert part == "expressions", f"{block}: what is a {part}?"
     conditions = [line for line in text.splitlines() if "chance" in line or "state ==" in line]
     lets = "".join(f"  let e{n} = {line}\n" for n, line in enumerate(text.splitlines()) if line not in conditions)
@@ -128,24 +128,24 @@ def test_every_block_says_what_it_is() -> None:
 
 @pytest.mark.parametrize("block", of_kind("ant"), ids=str)
 def test_programs_check_as_the_documents_say(block: Block) -> None:
-    text = whole(block)
+    text = complete_text(block)
     report = check(text, str(block))
     errors = [f"{d.span}: {d.code}: {d.message}" for d in report.errors]
-    if block.wanted_error is None:
+    if block.expected_error is None:
         assert not errors, "\n".join([*errors, text])
     else:
-        assert [d.code for d in report.errors] == [block.wanted_error], "\n".join([*errors, text])
+        assert [d.code for d in report.errors] == [block.expected_error], "\n".join([*errors, text])
 
 
 def test_complaints_look_as_the_documents_show_them() -> None:
     """A block ```text complaint shows what the program before it is told."""
     from antdsl.diagnostics.render import render
 
-    shown = [(ALL[n - 1], block) for n, block in enumerate(ALL) if block.info == "text complaint"]
-    assert shown
-    for program, block in shown:
+    complaints = [(ALL[n - 1], block) for n, block in enumerate(ALL) if block.info == "text complaint"]
+    assert complaints
+    for program, block in complaints:
         name = next(word.removeprefix("file=") for word in program.words if word.startswith("file="))
-        assert render(check(whole(program), name), "full").strip() == block.text.strip(), str(block)
+        assert render(check(complete_text(program), name), "full").strip() == block.text.strip(), str(block)
 
 
 @pytest.mark.parametrize("block", [block for block in of_kind("yaml") if block.words[1] == "scene"], ids=str)
@@ -154,37 +154,37 @@ def test_scenes_read_as_the_documents_say(block: Block) -> None:
 
     _, report = load_text(block.text.encode(), str(block), Roots(ROOT / "examples" / "foraging", {}))
     codes = [d.code for d in report.errors]
-    assert codes == ([] if block.wanted_error is None else [block.wanted_error]), report.errors
+    assert codes == ([] if block.expected_error is None else [block.expected_error]), report.errors
 
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder with `examples`, in which the documents' commands are run."""
-    made = tmp_path_factory.mktemp("documents")
-    (made / "examples").symlink_to(ROOT / "examples", target_is_directory=True)
-    return made
+    new_folder = tmp_path_factory.mktemp("documents")
+    (new_folder / "examples").symlink_to(ROOT / "examples", target_is_directory=True)
+    return new_folder
 
 
 @pytest.fixture(scope="module")
 def cache(folder: Path) -> Path:
     """`cache` in the folder: the minimal example, six frames; `summary.json` beside it."""
     command = ["run", "examples/minimal/scene.yaml", "--frames", "1..6", "--out", "cache", "--quiet", "--summary", "summary.json"]
-    done = commands.run(*command, cwd=folder)
-    assert done.returncode == 0, done.stdout + done.stderr
+    result = commands.run(*command, cwd=folder)
+    assert result.returncode == 0, result.stdout + result.stderr
     return folder / "cache"
 
 
 @pytest.fixture(scope="module")
 def light_folder(cache: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder with that cache and the foraging example on ground of fewer triangles, which is soon ready."""
-    made = tmp_path_factory.mktemp("python")
-    (made / "cache").symlink_to(cache, target_is_directory=True)
-    (made / "examples").mkdir()
-    few(made / "examples", 500)
+    new_folder = tmp_path_factory.mktemp("python")
+    (new_folder / "cache").symlink_to(cache, target_is_directory=True)
+    (new_folder / "examples").mkdir()
+    few(new_folder / "examples", 500)
     for example in (ROOT / "examples").iterdir():
         if example.name != "foraging":
-            (made / "examples" / example.name).symlink_to(example)
-    return made
+            (new_folder / "examples" / example.name).symlink_to(example)
+    return new_folder
 
 
 @pytest.mark.parametrize("block", of_kind("python"), ids=str)
@@ -212,15 +212,15 @@ def test_commands_do_what_the_documents_say(document: Path, folder: Path) -> Non
                 continue
             command = shlex.split(line[1:])
             assert command[0] == "antdsl", line
-            done = commands.run(*command[1:], cwd=folder, env={"COLUMNS": "200"})
-            printed = done.stdout + done.stderr
+            result = commands.run(*command[1:], cwd=folder, env={"COLUMNS": "200"})
+            printed = result.stdout + result.stderr
             assert "Traceback" not in printed, f"{block}: {line}\n{printed}"
 
 
 def test_the_page_of_commands_has_all_keys_of_a_summary(cache: Path) -> None:
-    found = json.loads((cache.parent / "summary.json").read_text(encoding="utf-8"))
+    summary = json.loads((cache.parent / "summary.json").read_text(encoding="utf-8"))
     text = (ROOT / "docs" / "commands.md").read_text(encoding="utf-8")
-    assert [key for key in (*found, *found["motion"]) if f"`{key}`" not in text] == []
+    assert [key for key in (*summary, *summary["motion"]) if f"`{key}`" not in text] == []
 
 
 def test_every_link_leads_somewhere() -> None:
@@ -237,8 +237,8 @@ def test_every_link_leads_somewhere() -> None:
 
 
 def anchors(file: Path) -> set[str]:
-    heads = re.findall(r"^#+ (.*)$", file.read_text(encoding="utf-8"), flags=re.MULTILINE)
-    return {re.sub(r"[^\w\- ]", "", head.lower()).replace(" ", "-") for head in heads}
+    headings = re.findall(r"^#+ (.*)$", file.read_text(encoding="utf-8"), flags=re.MULTILINE)
+    return {re.sub(r"[^\w\- ]", "", head.lower()).replace(" ", "-") for head in headings}
 
 
 def test_the_reference_is_short() -> None:

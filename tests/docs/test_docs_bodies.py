@@ -37,22 +37,22 @@ def folder(tmp_path: Path) -> Path:
 @pytest.mark.parametrize("kind", READERS)
 def test_each_part_is_read_as_the_page_says(kind: str) -> None:
     (text,) = [text for language, word, _, text in BLOCKS if (language, word) == ("json", kind)]
-    found, report = read_part(text.encode(), f"{kind}.json", f"a {kind}", READERS[kind])
-    assert found is not None and not report.diagnostics, report.diagnostics
+    part, report = read_part(text.encode(), f"{kind}.json", f"a {kind}", READERS[kind])
+    assert part is not None and not report.diagnostics, report.diagnostics
 
 
 def test_the_definition_is_whole(folder: Path) -> None:
-    found, report = read_definition(folder / "puppet.json")
-    assert found is not None and not report.diagnostics, report.diagnostics
-    assert found.shapes["block"].points.max() == 10 and found.clips["wave"].marks == {"up": 0.25}
+    definition, report = read_definition(folder / "puppet.json")
+    assert definition is not None and not report.diagnostics, report.diagnostics
+    assert definition.shapes["block"].points.max() == 10 and definition.clips["wave"].marks == {"up": 0.25}
 
 
 def test_the_command_tells_what_the_page_shows(folder: Path) -> None:
     (text,) = [text for language, word, _, text in BLOCKS if (language, word) == ("console", "bodies")]
     command, *lines = text.splitlines()
-    done = commands.run(*shlex.split(command)[2:], cwd=folder)
-    assert done.returncode == 0, done.stdout + done.stderr
-    assert [line for line in lines if line not in done.stdout.splitlines()] == [], done.stdout
+    result = commands.run(*shlex.split(command)[2:], cwd=folder)
+    assert result.returncode == 0, result.stdout + result.stderr
+    assert [line for line in lines if line not in result.stdout.splitlines()] == [], result.stdout
 
 
 def test_the_page_has_all_keys_parts_and_deformers_and_the_files_that_are_not_read() -> None:

@@ -15,9 +15,9 @@ ROOT = Path(__file__).resolve().parents[2]
 def block(page: str, heading: str, language: str) -> str:
     """The first code block of a language below a heading of a page."""
     text = (ROOT / "docs" / page).read_text(encoding="utf-8")
-    found = re.search(f"^```{language}[^\n]*\n(.*?)^```", text[text.index(heading) :], re.M | re.S)
-    assert found is not None
-    return found[1]
+    match = re.search(f"^```{language}[^\n]*\n(.*?)^```", text[text.index(heading) :], re.M | re.S)
+    assert match is not None
+    return match[1]
 
 
 def test_the_last_hare_is_caught(tmp_path: Path) -> None:
@@ -27,8 +27,8 @@ def test_the_last_hare_is_caught(tmp_path: Path) -> None:
     assert "count: 20," in scene
     (tmp_path / "scene.yaml").write_text(scene.replace("count: 20,", "count: 3,"))
     (tmp_path / "ground.ply").write_bytes(ground(9, 80.0))
-    done = run("test", "hunt.ant", "--no-keep", "--backend", "numpy", cwd=tmp_path)
-    assert done.returncode == 0 and "changes made: 3 of 3" in done.stdout, done.stdout + done.stderr
+    result = run("test", "hunt.ant", "--no-keep", "--backend", "numpy", cwd=tmp_path)
+    assert result.returncode == 0 and "changes made: 3 of 3" in result.stdout, result.stdout + result.stderr
 
 
 def test_specs_can_ask_for_what_is_reachable(tmp_path: Path) -> None:
@@ -39,5 +39,5 @@ def test_specs_can_ask_for_what_is_reachable(tmp_path: Path) -> None:
         "antdsl: 1\nworld: {ground: {mesh: ground.ply}, homeward: {solved: [0, 0, 0], cell: 10 mm}}\n"
         "crowd: [{species: walker, from: walker.ant, count: 5}]\n"
     )
-    done = run("test", "walker.ant", "--no-keep", "--backend", "numpy", cwd=tmp_path)
-    assert done.returncode == 0 and "2 passed" in done.stdout, done.stdout + done.stderr
+    result = run("test", "walker.ant", "--no-keep", "--backend", "numpy", cwd=tmp_path)
+    assert result.returncode == 0 and "2 passed" in result.stdout, result.stdout + result.stderr

@@ -44,7 +44,7 @@ def test_the_phases_that_were_measured_add_up_to_the_steps() -> None:
     """Within what the median of a sum differs from the sum of medians, and rounding."""
     text = PAGE.read_text(encoding="utf-8")
     lines = [line.strip("|").split("|") for line in text.partition("### A model")[0].splitlines() if line.startswith("| ")]
-    heads = [int(cell.replace(",", "")) for cell in lines[0][1:]]
+    agent_counts = [int(cell.replace(",", "")) for cell in lines[0][1:]]
     at = {int(row[0].replace(",", "")): float(row[2]) for row in numbers("model")}
-    for k, agents in enumerate(heads, 1):
+    for k, agents in enumerate(agent_counts, 1):
         assert abs(sum(float(line[k]) for line in lines[1:]) / at[agents] - 1) < 0.03, agents

@@ -37,8 +37,8 @@ ELSEWHERE = re.compile(
 
 
 def shell_lines(page: Path) -> list[str]:
-    found = re.findall(r"^```bash\n(.*?)^```", page.read_text(encoding="utf-8"), flags=re.MULTILINE | re.DOTALL)
-    return [line.split(" #")[0].strip() for block in found for line in block.splitlines() if line.split("#")[0].strip()]
+    blocks = re.findall(r"^```bash\n(.*?)^```", page.read_text(encoding="utf-8"), flags=re.MULTILINE | re.DOTALL)
+    return [line.split(" #")[0].strip() for block in blocks for line in block.splitlines() if line.split("#")[0].strip()]
 
 
 LINES = {page: lines for page in PAGES if (lines := shell_lines(page))}
@@ -50,8 +50,8 @@ def test_shell_lines_run(page: Path, tmp_path: Path) -> None:
         (tmp_path / part).symlink_to(ROOT / part, target_is_directory=True)
     folder = tmp_path
     if any(line.startswith("antdsl render out/foraging") for line in LINES[page]):
-        done = run(["antdsl", "run", "examples/foraging/scene.yaml", "--out", "out/foraging"], folder)
-        assert done.returncode == 0, done.stderr
+        result = run(["antdsl", "run", "examples/foraging/scene.yaml", "--out", "out/foraging"], folder)
+        assert result.returncode == 0, result.stderr
     for line in LINES[page]:
         words = shlex.split(line)
         if words[0] == "cd":
@@ -59,13 +59,13 @@ def test_shell_lines_run(page: Path, tmp_path: Path) -> None:
             continue
         if ELSEWHERE.fullmatch(line):
             continue
-        done = run(words, folder)
+        result = run(words, folder)
         if "--film" in words and importlib.util.find_spec("imageio_ffmpeg") is None:
-            assert "antdsl[video]" in done.stderr
+            assert "antdsl[video]" in result.stderr
             continue
-        assert "Traceback" not in done.stderr
+        assert "Traceback" not in result.stderr
         # a script of an example may find that two frames do not show what the whole shot shows
-        assert done.returncode == 0 or words[0] == "python", f"{line}\n{done.stdout[-1000:]}{done.stderr[-2000:]}"
+        assert result.returncode == 0 or words[0] == "python", f"{line}\n{result.stdout[-1000:]}{result.stderr[-2000:]}"
 
 
 def copied(folder: Path, to: Path) -> Path:

@@ -21,9 +21,9 @@ def written(folder: Path, swap: str = "") -> None:
     """The page's files in a folder, with one line of one of them changed."""
     files = dict(FILES)
     if swap:
-        name, before, after = SWAPS[swap].splitlines()
-        assert before[0] == "-" and after[0] == "+" and files[name].count(before[1:] + "\n") == 1
-        files[name] = files[name].replace(before[1:] + "\n", after[1:] + "\n")
+        name, old_line, new_line = SWAPS[swap].splitlines()
+        assert old_line[0] == "-" and new_line[0] == "+" and files[name].count(old_line[1:] + "\n") == 1
+        files[name] = files[name].replace(old_line[1:] + "\n", new_line[1:] + "\n")
     folder.mkdir(exist_ok=True)
     for name, text in files.items():
         (folder / name).write_text(text)
@@ -32,8 +32,8 @@ def written(folder: Path, swap: str = "") -> None:
 
 def ran(folder: Path, swap: str = "") -> Cache:
     written(folder, swap)
-    done = run("run", "scene.yaml", "--out", "cache", "--backend", "numpy", "-q", cwd=folder)
-    assert done.returncode == 0, done.stderr
+    result = run("run", "scene.yaml", "--out", "cache", "--backend", "numpy", "-q", cwd=folder)
+    assert result.returncode == 0, result.stderr
     return open_cache(folder / "cache")
 
 
@@ -95,12 +95,12 @@ def test_another_state_is_entered_in_the_same_frames_and_others_go_on(plain: Cac
 def test_another_export_has_the_same_places(plain: Cache, tmp_path: Path) -> None:
     for line in SWAPS["export"].splitlines():
         words = line[1:].split()[1:]
-        done = run(*words, "--frames", "30..36", cwd=plain.folder.parent)
-        assert done.returncode == 0, done.stderr
+        result = run(*words, "--frames", "30..36", cwd=plain.folder.parent)
+        assert result.returncode == 0, result.stderr
     scene = Scene((plain.folder.parent / "walkers.glb").read_bytes())
     world, _ = scene.at(0.25)
     names = [node["name"] for node in scene.tree["nodes"]]
-    with np.load(plain.folder.parent / "walkers.npz") as found:
-        rows = slice(*found["rows"][6:8])
-        for one, place in zip(found["id"][rows].tolist(), found["P"][rows], strict=True):
+    with np.load(plain.folder.parent / "walkers.npz") as arrays:
+        rows = slice(*arrays["rows"][6:8])
+        for one, place in zip(arrays["id"][rows].tolist(), arrays["P"][rows], strict=True):
             assert np.allclose(world[names.index(f"walker_{one}")][:3, 3], place / 1000, atol=1e-6)

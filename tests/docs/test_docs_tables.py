@@ -20,12 +20,12 @@ def rows(document: str) -> Iterator[list[str]]:
 def test_the_card_has_all_the_words() -> None:
     """Units, given names, built-in operations, sets, colours, field settings and the library: whatever the tables have."""
     from antdsl.program.tables.colours import COLOURS
-    from antdsl.program.tables.vocabulary import BUILTINS, GIVEN, REDUCERS, RESERVED, RUN_NAMES, SENSED_NAMES, UNITS
+    from antdsl.program.tables.vocabulary import BUILTIN_ATTRIBUTES, BUILTINS, REDUCERS, RESERVED, RUN_NAMES, SENSED_NAMES, UNITS
     from antdsl.syntax.words import FIELD_SETTINGS, LINE_WORDS, WORLD_KINDS
 
     text = (ROOT / "docs" / "card.md").read_text(encoding="utf-8")
     words = set(re.findall(r"[A-Za-z_]+|%", " ".join(re.findall(r"`([^`]+)`", text))))
-    tables = (UNITS, GIVEN, RUN_NAMES, SENSED_NAMES, BUILTINS, REDUCERS, COLOURS, FIELD_SETTINGS, WORLD_KINDS)
+    tables = (UNITS, BUILTIN_ATTRIBUTES, RUN_NAMES, SENSED_NAMES, BUILTINS, REDUCERS, COLOURS, FIELD_SETTINGS, WORLD_KINDS)
     missing = {word for table in (*tables, *LINE_WORDS.values()) for word in table} - words
     assert not missing, f"the card lacks {sorted(missing)}"
     assert {"flow", "map"} <= {*RESERVED, *WORLD_KINDS} & words
@@ -34,13 +34,15 @@ def test_the_card_has_all_the_words() -> None:
 def test_the_library_is_in_the_reference_as_it_is() -> None:
     """Signature and help of each behaviour; on the card the names alone."""
     library = (ROOT / "behaviours" / "steering.ant").read_text(encoding="utf-8")
-    heads = re.findall(r'^behaviour (\w+)(\(.*?\)) -> push \{\n  "(.*?)"', library, flags=re.MULTILINE)
-    assert len(heads) == len(re.findall(r"^behaviour ", library, flags=re.MULTILINE))
+    signatures = re.findall(r'^behaviour (\w+)(\(.*?\)) -> push \{\n  "(.*?)"', library, flags=re.MULTILINE)
+    assert len(signatures) == len(re.findall(r"^behaviour ", library, flags=re.MULTILINE))
     reference = (ROOT / "grammar" / "README.md").read_text(encoding="utf-8")
-    wanted = [f"| `{name}{arguments}` | {help} |" for name, arguments, help in heads]
-    assert [row for row in wanted if row not in reference] == [], "rows that the library's table in grammar/README.md lacks"
+    expected_rows = [f"| `{name}{arguments}` | {help} |" for name, arguments, help in signatures]
+    assert [row for row in expected_rows if row not in reference] == [], (
+        "rows that the library's table in grammar/README.md lacks"
+    )
     card = (ROOT / "docs" / "card.md").read_text(encoding="utf-8")
-    assert "`" + " ".join(name for name, _, _ in heads) + "`" in card, "all of them, in the order of the file"
+    assert "`" + " ".join(name for name, _, _ in signatures) + "`" in card, "all of them, in the order of the file"
 
 
 def test_the_scene_page_has_all_the_keys() -> None:
@@ -77,11 +79,11 @@ PARITY_IDS = [
 
 
 def test_parity_has_every_id_once_and_names_files_that_exist() -> None:
-    found = [row for row in rows("docs/parity.md") if row[0] != "id"]
-    assert [row[0] for row in found] == PARITY_IDS
-    for name, what, state, shown in found:
+    table_rows = [row for row in rows("docs/parity.md") if row[0] != "id"]
+    assert [row[0] for row in table_rows] == PARITY_IDS
+    for name, what, state, evidence in table_rows:
         assert what and state in ("done", "part", "not yet"), name
-        files = [word for word in re.findall(r"`([^`]+)`", shown) if "/" in word and " " not in word]
+        files = [word for word in re.findall(r"`([^`]+)`", evidence) if "/" in word and " " not in word]
         assert files or state == "not yet", f"{name} is {state} and names no file"
         for file in files:
             path, _, function = file.partition("::")

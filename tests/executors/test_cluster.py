@@ -35,8 +35,8 @@ def project(tmp_path: Path) -> Path:
 @pytest.fixture
 def stage(tmp_path: Path) -> Iterator[Stage]:
     (tmp_path / "cluster").mkdir()
-    with staged(tmp_path / "cluster") as there:
-        yield there
+    with staged(tmp_path / "cluster") as new_stage:
+        yield new_stage
 
 
 def ended(process: subprocess.Popen[str], seconds: float = 150) -> tuple[int, str, str]:
@@ -68,18 +68,18 @@ def lost_and_done_again(project: Path, stage: Stage, count: int, frames: int) ->
     until_there(project / "swept", count // 2)
     client.send_signal(signal.SIGKILL)
     client.communicate()
-    before = {path.name: path.stat().st_mtime_ns for path in (project / "swept" / "runs").glob("*.json")}
-    assert count // 2 <= len(before) < count
+    finish_times = {path.name: path.stat().st_mtime_ns for path in (project / "swept" / "runs").glob("*.json")}
+    assert count // 2 <= len(finish_times) < count
     code, out, err = ended(antdsl(*words, "--out", "swept", *stage.flags(), cwd=project))
     assert code == 0, err
-    assert f"{len(before)} of {count} runs were finished before" in out or len(before) < count
-    assert all((project / "swept" / "runs" / name).stat().st_mtime_ns == when for name, when in before.items())
+    assert f"{len(finish_times)} of {count} runs were finished before" in out or len(finish_times) < count
+    assert all((project / "swept" / "runs" / name).stat().st_mtime_ns == when for name, when in finish_times.items())
     code, _, err = ended(antdsl(*words, "--out", "alone", "--jobs", "1", cwd=project))
     assert code == 0, err
-    found = rows(project / "swept")
-    assert found == rows(project / "alone") and [row["seed"] for row in found] == [str(n + 1) for n in range(count)]
+    swept_rows = rows(project / "swept")
+    assert swept_rows == rows(project / "alone") and [row["seed"] for row in swept_rows] == [str(n + 1) for n in range(count)]
     assert (project / "swept" / "table.csv").read_bytes() == (project / "alone" / "table.csv").read_bytes()
-    assert all(row["processor"] and row["antdsl"].startswith("0.") for row in found)
+    assert all(row["processor"] and row["antdsl"].startswith("0.") for row in swept_rows)
 
 
 def test_a_cluster_of_this_machine_listens_on_the_loopback_interface_only() -> None:
@@ -92,10 +92,10 @@ def test_a_cluster_of_this_machine_listens_on_the_loopback_interface_only() -> N
         connections = [each for process in processes for each in process.net_connections("inet")]
         return {tuple(each.laddr) for each in connections if each.status == psutil.CONN_LISTEN}
 
-    before = listening()
+    old_addresses = listening()
     with local_cluster(1, 1):
-        found = listening() - before
-    assert len(found) >= 4 and {address for address, _ in found} == {"127.0.0.1"}
+        new_addresses = listening() - old_addresses
+    assert len(new_addresses) >= 4 and {address for address, _ in new_addresses} == {"127.0.0.1"}
 
 
 def lethal(document: Mapping[str, object], worker: Worker) -> dict[str, object]:
@@ -104,7 +104,7 @@ def lethal(document: Mapping[str, object], worker: Worker) -> dict[str, object]:
 
 
 @pytest.mark.slow
-def test_a_task_that_takes_each_worker_with_it_is_told_as_failed(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_task_that_kills_each_worker_is_reported_as_failed(monkeypatch: pytest.MonkeyPatch) -> None:
     from antdsl.executors.cluster import connected, local_cluster
 
     monkeypatch.setenv(
@@ -121,7 +121,7 @@ def test_lost_workers_and_a_killed_client_lose_no_run_and_double_none(project: P
 
 
 @pytest.mark.slow
-def test_a_scheduler_that_is_gone_is_told_and_the_table_goes_on_without_it(project: Path, stage: Stage) -> None:
+def test_a_lost_scheduler_is_reported_and_the_table_goes_on_without_it(project: Path, stage: Stage) -> None:
     words = ["sweep", "walkers/scene.yaml", "--frames", "1..24", "--seeds", "30", "--no-plots", "--out", "swept"]
     stage.worker()
     client = antdsl(*words, *stage.flags(), cwd=project)
@@ -134,7 +134,9 @@ def test_a_scheduler_that_is_gone_is_told_and_the_table_goes_on_without_it(proje
 
 
 @pytest.mark.slow
-def test_who_has_other_sources_or_no_room_is_told_and_given_nothing(project: Path, stage: Stage, tmp_path: Path) -> None:
+def test_workers_with_other_sources_or_without_space_are_reported_and_get_no_task(
+    project: Path, stage: Stage, tmp_path: Path
+) -> None:
     other = tmp_path / "other"
     for part in ("antdsl", "behaviours", "grammar"):
         shutil.copytree(ROOT / part, other / part, ignore=shutil.ignore_patterns("node_modules", "__pycache__", "web"))
@@ -164,7 +166,7 @@ def test_a_worker_that_comes_later_is_given_the_files_too(project: Path, stage: 
 
 def test_a_cluster_of_this_machine_gives_the_same_table(project: Path) -> None:
     words = ["sweep", "walkers/scene.yaml", "--frames", "1..2", "--seeds", "2", "--no-plots"]
-    for more in (["--out", "a", "--scheduler", "local", "--jobs", "2"], ["--out", "b", "--jobs", "1"]):
-        code, _, err = ended(antdsl(*words, *more, cwd=project))
+    for extra_words in (["--out", "a", "--scheduler", "local", "--jobs", "2"], ["--out", "b", "--jobs", "1"]):
+        code, _, err = ended(antdsl(*words, *extra_words, cwd=project))
         assert code == 0, err
     assert rows(project / "a") == rows(project / "b")

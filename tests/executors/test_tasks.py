@@ -24,19 +24,19 @@ def tasks(*numbers: int) -> Iterator[Task]:
 
 
 def test_tasks_are_made_as_there_is_room_and_answers_may_say_what_comes_next() -> None:
-    found: list[int] = []
+    answers: list[int] = []
 
-    def more() -> Iterator[Task]:
-        while sum(found) < 40:
+    def generate_tasks() -> Iterator[Task]:
+        while sum(answers) < 40:
             yield from tasks(5)
 
-    for answered in run_tasks(more(), InThisProcess(1)):
+    for answered in run_tasks(generate_tasks(), InThisProcess(1)):
         assert answered.answer is not None and answered.notes == ("had 5",)
-        found.append(answered.answer["n"])
-    assert found == [10, 10, 10, 10]
+        answers.append(answered.answer["n"])
+    assert answers == [10, 10, 10, 10]
 
 
-def test_one_that_fails_is_told_and_the_others_go_on() -> None:
+def test_a_failure_is_reported_and_the_others_go_on() -> None:
     ended = {a.task.key: (a.answer, a.problem) for a in run_tasks(tasks(1, -1, 2), InThisProcess(2))}
     assert ended == {"1": ({"n": 2}, ""), "-1": (None, "-1 is below 0"), "2": ({"n": 4}, "")}
     with pytest.raises(TypeError):  # a mistake of ours is none of the task's
@@ -85,7 +85,7 @@ def large(document: Mapping[str, Any], worker: Worker) -> dict[str, Any]:
     return {"text": "x" * document["n"]}
 
 
-def test_a_result_larger_than_the_limit_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_result_larger_than_the_limit_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("antdsl.executors.tasks.ANSWER_BYTES", 1000)
     ended = {a.task.key: a for a in run_tasks((Task(str(n), large, {"n": n}) for n in (10, 2000)), InThisProcess(1))}
     assert ended["10"].answer == {"text": "x" * 10}

@@ -29,14 +29,14 @@ def _held_against(name: str, last: int, pairs: int, folder: Path, monkeypatch: p
     scene = EXAMPLES / name / "scene.yaml"
     cache = cached(scene, last, folder / "cache")
     shot = shot_of(scene, last)
-    found = facts(shot, pairs, monkeypatch, seed=len(name))
+    run_facts = facts(shot, pairs, monkeypatch, seed=len(name))
     wrong = {}
     count = 0
-    for fact, told in explanations(cache, scene, found):
+    for fact, explanation in explanations(cache, scene, run_facts):
         count += 1
-        differ = differences(shot, fact, told)
+        differ = differences(shot, fact, explanation)
         if differ:
             wrong[fact.species, fact.agent, fact.frame] = differ
     assert count == pairs
     assert not wrong
-    print(name, count, "changes", sum(any(f.pending.values()) for f in found), "draws", sum(len(f.draws) for f in found))
+    print(name, count, "changes", sum(any(f.pending.values()) for f in run_facts), "draws", sum(len(f.draws) for f in run_facts))

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from explained import cached
 
-from antdsl.explain import CacheHistory, Replay, accounts, open_shot, tell
+from antdsl.explain import CacheHistory, Replay, explain_agents, open_shot, tell
 from antdsl.outputs.cache.cache_reader import Cache
 from antdsl.plan.registers import slot_names
 from antdsl.runtime import Options, bind, step
@@ -74,16 +74,16 @@ def test_frames_hold_values_per_pair_in_scene_units(cache: Cache) -> None:
 
 def test_explain_tells_how_values_per_pair_changed(cache: Cache) -> None:
     replay = Replay(CacheHistory.of(cache, open_shot(cache)))
-    before, after = pairs(cache, 5), pairs(cache, 6)
-    (told,) = accounts(replay, 6, [("bug", 4)])
-    assert told is not None
-    changes = {each.name: each for each in told.changes if each.name.startswith("near")}
-    others = {b for a, b in {*before, *after} if a == 4}
+    previous_pairs, next_pairs = pairs(cache, 5), pairs(cache, 6)
+    (explanation,) = explain_agents(replay, 6, [("bug", 4)])
+    assert explanation is not None
+    changes = {each.name: each for each in explanation.changes if each.name.startswith("near")}
+    others = {b for a, b in {*previous_pairs, *next_pairs} if a == 4}
     assert changes.keys() == {f"near[{other}]" for other in others}
     for other in others:
         each = changes[f"near[{other}]"]
-        if (4, other) in after:
-            assert each.after == pytest.approx(after[4, other] * 10, rel=1e-5) and each.unit == "mm"
+        if (4, other) in next_pairs:
+            assert each.after == pytest.approx(next_pairs[4, other] * 10, rel=1e-5) and each.unit == "mm"
         else:
             assert each.after == "nothing"
-    assert any(f"near[{other}]: " in tell(told) for other in others)
+    assert any(f"near[{other}]: " in tell(explanation) for other in others)

@@ -14,7 +14,7 @@ from explained import cached, differences, explanations, facts, shot_of
 from sampling import sampled
 
 from antdsl.cli import _run as run_in_process
-from antdsl.explain import CacheHistory, ExplainError, Explanation, Replay, accounts, as_json, explain, open_shot, tell
+from antdsl.explain import CacheHistory, ExplainError, Explanation, Replay, as_json, explain, explain_agents, open_shot, tell
 from antdsl.outputs.cache.cache_reader import Cache, open_cache
 from antdsl.outputs.cache.manifest import ManifestError, way_to
 
@@ -101,20 +101,24 @@ def cache(tmp_path_factory: pytest.TempPathFactory) -> Cache:
 
 
 @pytest.fixture(scope="module")
-def told(cache: Cache) -> list[Explanation]:
+def bug_explanations(cache: Cache) -> list[Explanation]:
     """Every bug in every step."""
     replay = Replay(CacheHistory.of(cache, open_shot(cache)))
-    found = [each for frame in range(2, LAST + 1) for each in accounts(replay, frame, [("bug", k) for k in range(12)])]
-    return [each for each in found if each is not None]
+    results = [each for frame in range(2, LAST + 1) for each in explain_agents(replay, frame, [("bug", k) for k in range(12)])]
+    return [each for each in results if each is not None]
 
 
 def test_all_kinds_of_changes_agree_with_the_run(cache: Cache, monkeypatch: pytest.MonkeyPatch) -> None:
     scene = cache.folder.parent.parent / "scene.yaml"
     shot = shot_of(scene, LAST)
-    found = facts(shot, 200, monkeypatch, seed=1)
-    wrong = [(fact, differ) for fact, told in explanations(cache, scene, found) if (differ := differences(shot, fact, told))]
+    run_facts = facts(shot, 200, monkeypatch, seed=1)
+    wrong = [
+        (fact, differ)
+        for fact, explanation in explanations(cache, scene, run_facts)
+        if (differ := differences(shot, fact, explanation))
+    ]
     assert not wrong
-    assert sum(any(fact.pending.values()) for fact in found) > 20
+    assert sum(any(fact.pending.values()) for fact in run_facts) > 20
 
 
 MOODS = """
@@ -142,30 +146,30 @@ def test_other_ways_to_blend_and_two_machines_agree_with_the_run(
         + BUG[end:].replace("layers {", f"layers {mode} {{\n wander() when tense > 0")
     )
     (tmp_path / "bug.ant").write_text(text)
-    made = cached(tmp_path / "scene.yaml", 30, tmp_path / "out" / "scene")
+    new_cache = cached(tmp_path / "scene.yaml", 30, tmp_path / "out" / "scene")
     shot = shot_of(tmp_path / "scene.yaml", 30)
-    found = facts(shot, 60, monkeypatch, seed=2)
-    both = list(explanations(made, tmp_path / "scene.yaml", found))
-    assert not [(fact, differ) for fact, told in both if (differ := differences(shot, fact, told))]
-    assert {told.mode for fact, told in both if fact.species == "bug"} == {mode}
-    assert {machine.machine for _, told in both for machine in told.machines} == {"walk", "mood", "main"}
-    assert any(told.machines[1].changed for fact, told in both if fact.species == "bug")
+    run_facts = facts(shot, 60, monkeypatch, seed=2)
+    both = list(explanations(new_cache, tmp_path / "scene.yaml", run_facts))
+    assert not [(fact, differ) for fact, explanation in both if (differ := differences(shot, fact, explanation))]
+    assert {explanation.mode for fact, explanation in both if fact.species == "bug"} == {mode}
+    assert {machine.machine for _, explanation in both for machine in explanation.machines} == {"walk", "mood", "main"}
+    assert any(explanation.machines[1].changed for fact, explanation in both if fact.species == "bug")
 
 
 @pytest.mark.slow
-def test_watching_changes_nothing(cache: Cache, told: list[Explanation]) -> None:
+def test_watching_changes_nothing(cache: Cache, bug_explanations: list[Explanation]) -> None:
     """All bugs traced in every step: the hashes are those that the run without any watcher has written."""
     hashes = cache.hashes()
-    assert len(told) == 12 * (LAST - 1)
-    assert all(each.hash == hashes[each.frame] for each in told)
-    before = {path: path.read_bytes() for path in cache.folder.rglob("*") if path.is_file()}
+    assert len(bug_explanations) == 12 * (LAST - 1)
+    assert all(each.hash == hashes[each.frame] for each in bug_explanations)
+    contents = {path: path.read_bytes() for path in cache.folder.rglob("*") if path.is_file()}
     explain(cache, 3, 30, species="bug")
-    assert before == {path: path.read_bytes() for path in cache.folder.rglob("*") if path.is_file()}
+    assert contents == {path: path.read_bytes() for path in cache.folder.rglob("*") if path.is_file()}
 
 
-def test_parts_have_values_in_the_authors_units(cache: Cache, told: list[Explanation]) -> None:
+def test_parts_have_values_in_the_authors_units(cache: Cache, bug_explanations: list[Explanation]) -> None:
     """Energy falls by 24 % a second from 100 %: after k steps in `go` it is 100 - k % of it."""
-    first = [each for each in told if each.agent == 0]
+    first = [each for each in bug_explanations if each.agent == 0]
     for each in first[:11]:
         weary = next(looked for looked in each.machines[0].looked if "weary" in looked.place.text)
         assert weary.condition is not None and weary.condition.text == "weary"
@@ -178,41 +182,41 @@ def test_parts_have_values_in_the_authors_units(cache: Cache, told: list[Explana
         assert rest.needs == 0.25 and rest.holds == (rest.has > 0.25 - 1e-4)
 
 
-def test_an_interrupt_comes_first_and_a_change_from_anywhere_before_the_others(told: list[Explanation]) -> None:
-    kinds = [[looked.kind for looked in e.machines[0].looked] for e in told if e.machines[0].before == "go"]
+def test_an_interrupt_comes_first_and_a_change_from_anywhere_before_the_others(bug_explanations: list[Explanation]) -> None:
+    kinds = [[looked.kind for looked in e.machines[0].looked] for e in bug_explanations if e.machines[0].before == "go"]
     assert kinds and all(each == ["interrupt", "from any", "when", "when"] for each in kinds)
-    for each in told:
+    for each in bug_explanations:
         firing = [looked for looked in each.machines[0].looked if looked.fires]
         assert [looked.wins for looked in firing] == [True] + [False] * (len(firing) - 1) if firing else True
 
 
-def test_a_chance_shows_its_draw_and_its_bar(told: list[Explanation]) -> None:
-    met = [
+def test_a_chance_shows_its_draw_and_its_bar(bug_explanations: list[Explanation]) -> None:
+    chances = [
         part
-        for e in told
+        for e in bug_explanations
         for looked in e.machines[0].looked
         if looked.condition
         for part in [looked.condition]
         if "chance" in part.text
     ]
-    assert len(met) > 20
-    for each in met:
+    assert len(chances) > 20
+    for each in chances:
         draw, bar = (next(part.value for part in each.parts if part.role == role) for role in ("draw", "bar"))
         assert bar == pytest.approx(1 - math.exp(-0.6 / 24), rel=1e-5)
         assert each.value == (draw < bar)
 
 
-def test_a_choice_shows_its_draw_and_the_bars(told: list[Explanation]) -> None:
-    choices = [e.machines[0].choice for e in told if e.machines[0].choice is not None]
+def test_a_choice_shows_its_draw_and_the_bars(bug_explanations: list[Explanation]) -> None:
+    choices = [e.machines[0].choice for e in bug_explanations if e.machines[0].choice is not None]
     assert choices
     for choice in choices:
         assert choice.bars == (("go", 0.25), ("hide", 1.0))
         assert choice.chosen == ("go" if choice.draw < 0.25 else "hide")
 
 
-def test_claims_say_who_won(told: list[Explanation]) -> None:
+def test_claims_say_who_won(bug_explanations: list[Explanation]) -> None:
     """Three loads, twelve bugs: nine lose, in the order of their turns, and stay where they are."""
-    claims = [(e, e.machines[0].claim) for e in told if e.machines[0].claim is not None]
+    claims = [(e, e.machines[0].claim) for e in bug_explanations if e.machines[0].claim is not None]
     won = [(e, c) for e, c in claims if c.won]
     lost = [(e, c) for e, c in claims if not c.won]
     assert len(won) == 3 and lost
@@ -223,9 +227,9 @@ def test_claims_say_who_won(told: list[Explanation]) -> None:
     assert all(("load: 0 -> 1" in tell(e)) and c.item == "crumb" for e, c in won)
 
 
-def test_the_budget_is_spent_from_the_top_and_the_rest_is_cut(told: list[Explanation]) -> None:
+def test_the_budget_is_spent_from_the_top_and_the_rest_is_cut(bug_explanations: list[Explanation]) -> None:
     cut = spent = off = 0
-    for each in told:
+    for each in bug_explanations:
         left = 1.0
         for layer in each.layers:
             assert layer.left == pytest.approx(left, abs=1e-6)
@@ -236,22 +240,22 @@ def test_the_budget_is_spent_from_the_top_and_the_rest_is_cut(told: list[Explana
     assert cut > 10 and spent > 10 and off > 10
 
 
-def test_others_items_and_what_changed_are_told(cache: Cache, told: list[Explanation]) -> None:
-    crowded = max(told, key=lambda e: max((group.count for group in e.seen if group.of == "bug"), default=0))
+def test_others_items_and_changes_are_explained(cache: Cache, bug_explanations: list[Explanation]) -> None:
+    crowded = max(bug_explanations, key=lambda e: max((group.count for group in e.seen if group.of == "bug"), default=0))
     group = max((g for g in crowded.seen if g.of == "bug"), key=lambda g: g.count)
     distances = [near.distance for near in group.nearest]
     assert distances == sorted(distances) and len(distances) == min(group.count, 10) and max(distances) <= 8
-    assert any(near.name == "crumb" for e in told for g in e.seen for near in g.nearest)
-    for each in told[:50]:
+    assert any(near.name == "crumb" for e in bug_explanations for g in e.seen for near in g.nearest)
+    for each in bug_explanations[:50]:
         arrays = cache.frame(each.frame)
         row = int((arrays["id"] == each.agent).nonzero()[0][0])  # species by name: bugs come first
         moved = {change.name: change for change in each.changes}["position"]
         assert moved.after == pytest.approx([float(x) for x in arrays["P"][row]], abs=1e-3)
         assert each.velocity[1] == pytest.approx([float(x) for x in arrays["v"][row]], rel=1e-5)
-    assert any(e.handlers for e in told) and any("emit hiss within 30 mm" in e.did for e in told)
+    assert any(e.handlers for e in bug_explanations) and any("emit hiss within 30 mm" in e.did for e in bug_explanations)
 
 
-def test_a_life_is_told_from_birth_to_death(cache: Cache) -> None:
+def test_a_life_is_explained_from_birth_to_death(cache: Cache) -> None:
     last = explain(cache, 0, 15, species="fly")
     assert [stretch.state for stretch in last.strip] == ["young", "old"] or last.strip[-1].last >= 15
     died = next(frame for frame in range(2, LAST) if frame > (last.alive or (0, 0))[1])
@@ -262,12 +266,12 @@ def test_a_life_is_told_from_birth_to_death(cache: Cache) -> None:
 
 def test_a_seed_and_values_given_to_the_run_are_known_from_the_cache(copy: Cache) -> None:
     scene = copy.folder.parent.parent / "scene.yaml"
-    made = cached(scene, 45, copy.folder.parent / "other", seed=11, params={"bug.brave": "400 %/s"})
-    assert made.hashes()[40] != copy.hashes()[40]
+    new_cache = cached(scene, 45, copy.folder.parent / "other", seed=11, params={"bug.brave": "400 %/s"})
+    assert new_cache.hashes()[40] != copy.hashes()[40]
     resting = next(
         looked
         for k in range(12)
-        for looked in explain(made, k, 22, species="bug").machines[0].looked
+        for looked in explain(new_cache, k, 22, species="bug").machines[0].looked
         if "chance brave" in looked.place.text and looked.condition is not None
     )
     bar = next(part.value for part in resting.condition.parts if part.role == "bar")
@@ -287,8 +291,8 @@ def test_what_cannot_be_explained_is_said(cache: Cache) -> None:
     assert "from 0 to 11" in refused(cache, 99, 10, "bug").help
     assert refused(cache, 1, 1, "bug").help == "ask for a later one: `--frame 2`"
     assert str(refused(cache, 1, 61, "bug")) == "no frame 61" and "2 to 60" in refused(cache, 1, 61, "bug").help
-    gone = refused(cache, 0, 50, "fly")
-    assert str(gone) == "fly 0 is not there at frame 50" and "from frame 1 to" in gone.help
+    refusal = refused(cache, 0, 50, "fly")
+    assert str(refusal) == "fly 0 is not there at frame 50" and "from frame 1 to" in refusal.help
     born = next(k for k in range(2, 9) if "had not decided" in str(refused(cache, k, 3, "fly")))
     assert "its first step leads to" in refused(cache, born, 3, "fly").help
 
@@ -322,11 +326,11 @@ def test_states_hashed_in_another_way_are_refused(copy: Cache) -> None:
 def test_a_damaged_checkpoint_is_passed_over_and_none_is_said(copy: Cache) -> None:
     points = copy.checkpoints()
     assert explain(copy, 1, 50, species="bug").checkpoint == 41
-    whole = tell(explain(copy, 1, 50, species="bug"))
+    explanation_text = tell(explain(copy, 1, 50, species="bug"))
     path = copy.folder / "checkpoints" / "checkpoint.0041.npz"
     path.write_bytes(path.read_bytes()[:-40])
     again = explain(copy, 1, 50, species="bug")
-    assert again.checkpoint == 21 and tell(again) == whole
+    assert again.checkpoint == 21 and tell(again) == explanation_text
     for point in points:
         (copy.folder / "checkpoints" / f"checkpoint.{point:04d}.npz").unlink()
     assert "no checkpoint up to frame 49" in str(refused(copy, 1, 50, "bug"))
@@ -362,29 +366,29 @@ def test_json_says_the_same(cache: Cache, capsys: pytest.CaptureFixture[str], mo
         "sys.argv", ["antdsl", "explain", os.fspath(cache.folder), "--agent", "3", "--frame", "30", "--species", "bug", "--json"]
     )
     assert run_in_process() == 0
-    found = json.loads(capsys.readouterr().out)
-    assert found == json.loads(json.dumps(as_json(explain(cache, 3, 30, species="bug"))))
-    assert found["format"] == 1 and found["machines"][0]["looked"][0]["place"]["line"] > 0
+    document = json.loads(capsys.readouterr().out)
+    assert document == json.loads(json.dumps(as_json(explain(cache, 3, 30, species="bug"))))
+    assert document["format"] == 1 and document["machines"][0]["looked"][0]["place"]["line"] > 0
 
 
 def test_the_scene_is_found_where_it_was_from_the_cache(cache: Cache, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A cache of `--out`, far from its scene; with the two of them moved together; and another scene of that name nearer by."""
     home = cache.folder.parent.parent
     shutil.copytree(home, tmp_path / "work" / "shots" / "a" / "b", ignore=shutil.ignore_patterns("out"))
-    made = cached(tmp_path / "work" / "shots" / "a" / "b" / "scene.yaml", 12, tmp_path / "work" / "out" / "b")
-    assert made.manifest.scene_path == "../../shots/a/b/scene.yaml"
+    new_cache = cached(tmp_path / "work" / "shots" / "a" / "b" / "scene.yaml", 12, tmp_path / "work" / "out" / "b")
+    assert new_cache.manifest.scene_path == "../../shots/a/b/scene.yaml"
     (tmp_path / "work" / "scene.yaml").write_text("antdsl: 1\n")
     (tmp_path / "elsewhere").mkdir()
     (tmp_path / "work").rename(tmp_path / "moved")
     for folder in (tmp_path / "moved" / "out", tmp_path / "elsewhere", tmp_path / "moved" / "shots", tmp_path):
         monkeypatch.chdir(folder)
-        there = open_cache(Path(os.path.relpath(tmp_path / "moved" / "out" / "b")))
-        assert explain(there, 1, 10, species="bug").frame == 10
+        moved_cache = open_cache(Path(os.path.relpath(tmp_path / "moved" / "out" / "b")))
+        assert explain(moved_cache, 1, 10, species="bug").frame == 10
     shutil.rmtree(tmp_path / "moved" / "shots")
     (tmp_path / "moved" / "scene.yaml").unlink()
-    gone = refused(there, 1, 10, "bug")
-    assert gone.usage and "`../../shots/a/b/scene.yaml`" in str(gone) and "--scene" in gone.help
-    scene = explain(there, 1, 10, species="bug", scene=home / "scene.yaml")
+    refusal = refused(moved_cache, 1, 10, "bug")
+    assert refusal.usage and "`../../shots/a/b/scene.yaml`" in str(refusal) and "--scene" in refusal.help
+    scene = explain(moved_cache, 1, 10, species="bug", scene=home / "scene.yaml")
     assert scene.frame == 10
 
 

@@ -43,10 +43,10 @@ def folder(tmp_path: Path) -> Path:
     return tmp_path
 
 
-def asked(folder: Path, *words: str, code: int = 0) -> str:
-    done = commands.run("jobs", "scene.yaml", *words, cwd=folder)
-    assert done.returncode == code, done.stderr
-    return done.stdout + done.stderr
+def run_jobs(folder: Path, *words: str, code: int = 0) -> str:
+    result = commands.run("jobs", "scene.yaml", *words, cwd=folder)
+    assert result.returncode == code, result.stderr
+    return result.stdout + result.stderr
 
 
 def step(document: dict[str, Any], name: str) -> dict[str, Any]:
@@ -60,12 +60,14 @@ def test_chunks_begin_with_a_picture_and_leave_none_out() -> None:
 
 
 def test_a_template_has_the_steps_of_a_shot_in_their_order(folder: Path) -> None:
-    told = asked(folder, "--to", "job.yaml", "--frames", "1..25", "--seed", "4", "--set", "walker.pace=20mm/s", "--render", SMALL)
-    assert told == "job.yaml: simulation, frames (3 tasks), film\n"
+    output = run_jobs(
+        folder, "--to", "job.yaml", "--frames", "1..25", "--seed", "4", "--set", "walker.pace=20mm/s", "--render", SMALL
+    )
+    assert output == "job.yaml: simulation, frames (3 tasks), film\n"
     document = yaml.safe_load((folder / "job.yaml").read_text())
     assert document["specificationVersion"] == "jobtemplate-2023-09" and "extensions" not in document
-    places = {each["name"]: (each["type"], each["dataFlow"], each["default"]) for each in document["parameterDefinitions"]}
-    assert places == {
+    parameters = {each["name"]: (each["type"], each["dataFlow"], each["default"]) for each in document["parameterDefinitions"]}
+    assert parameters == {
         "Project": ("PATH", "IN", "."),
         "Cache": ("PATH", "INOUT", "out/scene"),
         "Pictures": ("PATH", "INOUT", "out/scene/pictures"),
@@ -90,15 +92,15 @@ def test_a_template_has_the_steps_of_a_shot_in_their_order(folder: Path) -> None
         [{"dependsOn": "simulation"}],
         [{"dependsOn": "frames"}],
     ]
-    asked(folder, "--to", "job.json", "--frames", "1..25", "--seed", "4", "--set", "walker.pace=20mm/s", "--render", SMALL)
+    run_jobs(folder, "--to", "job.json", "--frames", "1..25", "--seed", "4", "--set", "walker.pace=20mm/s", "--render", SMALL)
     assert json.loads((folder / "job.json").read_text()) == document
 
 
-def test_places_that_a_template_may_not_name_are_told(folder: Path) -> None:
+def test_places_that_a_template_may_not_name_are_reported(folder: Path) -> None:
     (folder / "jobs").mkdir()
     (folder / "assets").mkdir()
-    told = asked(folder, "--to", "jobs/job.yaml", "--root", "kit=assets", "--pictures", "jobs/drawn")
-    assert f"name them when you submit it:\n  Project={folder}\n  Root_kit={folder / 'assets'}\n  Cache={folder}" in told
+    output = run_jobs(folder, "--to", "jobs/job.yaml", "--root", "kit=assets", "--pictures", "jobs/drawn")
+    assert f"name them when you submit it:\n  Project={folder}\n  Root_kit={folder / 'assets'}\n  Cache={folder}" in output
     document = yaml.safe_load((folder / "jobs" / "job.yaml").read_text())
     assert [each.get("default") for each in document["parameterDefinitions"]] == [None, None, None, "drawn"]
     words = step(document, "simulation")["script"]["actions"]["onRun"]["args"]
@@ -108,7 +110,7 @@ def test_places_that_a_template_may_not_name_are_told(folder: Path) -> None:
 @pytest.mark.parametrize("words", [(), ("--every", "3", "--chunk", "2", "--no-film"), ("--root", "kit=.", "--seed", "3")])
 def test_the_reference_implementation_takes_the_template(folder: Path, words: tuple[str, ...]) -> None:
     model = pytest.importorskip("openjd.model")
-    asked(folder, "--to", "job.yaml", *words)
+    run_jobs(folder, "--to", "job.yaml", *words)
     document = yaml.safe_load((folder / "job.yaml").read_text())
     template = model.decode_job_template(template=document)
     values = model.preprocess_job_parameters(
@@ -136,14 +138,14 @@ def test_the_reference_implementation_takes_the_template(folder: Path, words: tu
         (("--to", "job.yaml", "--render", "--cut '{{x}} > 0'"), 2, "job.jsonl"),
     ],
 )
-def test_what_makes_no_job_is_told(folder: Path, words: tuple[str, ...], code: int, says: str) -> None:
+def test_what_makes_no_job_is_reported(folder: Path, words: tuple[str, ...], code: int, says: str) -> None:
     scene = (folder / "scene.yaml").read_text()
-    told = " ".join(asked(folder, *words, code=code).replace("│", " ").split())
-    assert says in told and (folder / "scene.yaml").read_text() == scene and not (folder / "job.yaml").exists()
+    output = " ".join(run_jobs(folder, *words, code=code).replace("│", " ").split())
+    assert says in output and (folder / "scene.yaml").read_text() == scene and not (folder / "job.yaml").exists()
 
 
 def test_lines_can_be_run_one_after_the_other_and_again(folder: Path) -> None:
-    asked(folder, "--to", "job.jsonl", "--frames", "1..5", "--every", "2", "--chunk", "2", "--no-film", "--render", SMALL)
+    run_jobs(folder, "--to", "job.jsonl", "--frames", "1..5", "--every", "2", "--chunk", "2", "--no-film", "--render", SMALL)
     lines = [json.loads(line) for line in (folder / "job.jsonl").read_text().splitlines()]
     assert [(line["name"], line["needs"]) for line in lines] == [
         ("simulation", []),
@@ -152,9 +154,9 @@ def test_lines_can_be_run_one_after_the_other_and_again(folder: Path) -> None:
     ]
     for attempt in range(2):
         for line in lines:
-            done = commands.run(*line["command"][1:], cwd=folder.parent)
-            assert line["command"][0] == "antdsl" and done.returncode == 0, done.stderr
-            assert not attempt or line["step"] == "simulation" or done.stdout.endswith("there already\n")
+            result = commands.run(*line["command"][1:], cwd=folder.parent)
+            assert line["command"][0] == "antdsl" and result.returncode == 0, result.stderr
+            assert not attempt or line["step"] == "simulation" or result.stdout.endswith("there already\n")
     cache = folder / "out" / "scene"
     assert open_cache(cache).frames() == [1, 2, 3, 4, 5]
     assert sorted(path.name for path in (cache / "pictures").iterdir()) == [f"picture.000{k}.png" for k in (1, 3, 5)]
@@ -170,7 +172,7 @@ def test_the_reference_runner_makes_the_shot_with_its_paths_mapped(folder: Path,
     bin.mkdir()
     (bin / "antdsl").write_text(f'#!/bin/sh\nexec "{sys.executable}" -m antdsl "$@"\n')
     (bin / "antdsl").chmod(0o755)
-    asked(folder, "--to", "job.yaml", "--frames", "1..4", "--chunk", "2", "--no-film", "--render", SMALL)
+    run_jobs(folder, "--to", "job.yaml", "--frames", "1..4", "--chunk", "2", "--no-film", "--render", SMALL)
     rules = {
         "version": "pathmapping-1.0",
         "path_mapping_rules": [{"source_path_format": "POSIX", "source_path": "/mnt/show", "destination_path": str(folder)}],
@@ -181,6 +183,6 @@ def test_the_reference_runner_makes_the_shot_with_its_paths_mapped(folder: Path,
     command += ["--path-mapping-rules", json.dumps(rules)]
     for name, path in (("Project", ""), ("Cache", "/made/cache"), ("Pictures", "/made/pictures")):
         command += ["-p", f"{name}=/mnt/show{path}"]
-    done = subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True, timeout=300)
-    assert done.returncode == 0, done.stdout[-3000:] + done.stderr[-2000:]
+    result = subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True, timeout=300)
+    assert result.returncode == 0, result.stdout[-3000:] + result.stderr[-2000:]
     assert sorted(path.name for path in (folder / "made" / "pictures").iterdir()) == [f"picture.000{k}.png" for k in range(1, 5)]

@@ -37,11 +37,11 @@ def cell_at(field: PheromoneField, x: float, z: float) -> np.ndarray:
 def test_every_point_of_a_surface_has_a_cell_around_it_that_faces_its_way(mesh, cell):
     cells = SurfaceCells([mesh], cell)
     points, normals = on_surface(mesh, 5000)
-    found = cells.lookup(points, normals)
-    assert (found >= 0).all()
-    assert np.array_equal(cells.side[found], facing(normals))
-    assert np.abs(cells.position[found] - points).max() < 1.6 * cell
-    assert len(np.unique(found)) <= len(cells) <= 3.2 * np.abs(points.max() - points.min() + cell) ** 2 * 6 / cell**2
+    cell_numbers = cells.lookup(points, normals)
+    assert (cell_numbers >= 0).all()
+    assert np.array_equal(cells.side[cell_numbers], facing(normals))
+    assert np.abs(cells.position[cell_numbers] - points).max() < 1.6 * cell
+    assert len(np.unique(cell_numbers)) <= len(cells) <= 3.2 * np.abs(points.max() - points.min() + cell) ** 2 * 6 / cell**2
 
 
 def test_a_cell_lies_where_its_surface_is():
@@ -106,15 +106,15 @@ def test_who_is_followed_is_looked_up_again_only_in_another_voxel(monkeypatch):
         points = points + rng.normal(0, 0.4, points.shape)
         points[step], points[10 * step] = np.nan, 1e9
         side = np.where(rng.random(2000) < 0.02, rng.integers(0, 6, 2000), side).astype(np.int8)
-        found, known = cells.follow(points, side, known)
-        assert np.array_equal(found, cells.lookup_sides(points, side))
-    some = np.flatnonzero(known.cell >= 0)[:7]
-    kept, known.cell[some] = known.cell[some], (known.cell[some] + 1) % len(cells)
+        cell_numbers, known = cells.follow(points, side, known)
+        assert np.array_equal(cell_numbers, cells.lookup_sides(points, side))
+    subset = np.flatnonzero(known.cell >= 0)[:7]
+    original_cells, known.cell[subset] = known.cell[subset], (known.cell[subset] + 1) % len(cells)
     again = cells.follow(points, side, known)[0]
-    assert np.array_equal(again[some], (kept + 1) % len(cells))  # what is known of a voxel is not looked up again
-    known.cell[some] = kept
+    assert np.array_equal(again[subset], (original_cells + 1) % len(cells))  # what is known of a voxel is not looked up again
+    known.cell[subset] = original_cells
     rows = rng.permutation(2000)[:1500]
-    assert np.array_equal(cells.follow(points[rows], side[rows], known)[0], found[rows])
+    assert np.array_equal(cells.follow(points[rows], side[rows], known)[0], cell_numbers[rows])
 
 
 def test_the_nearest_are_those_of_a_plain_search():
@@ -125,9 +125,9 @@ def test_the_nearest_are_those_of_a_plain_search():
     for a in range(most):
         near = np.flatnonzero((np.abs(voxel - voxel[a]).max(axis=1) <= 1) & ((cells.side ^ 1) != cells.side[a]))
         gap = ((cells.position[near] - cells.position[a]) ** 2).sum(axis=1)
-        wanted = np.sort(near[np.lexsort((near, gap))][:16])
+        expected = np.sort(near[np.lexsort((near, gap))][:16])
         crowded += len(near) > 16
-        assert np.array_equal(cells.block[a], np.pad(wanted, (0, 16 - len(wanted)), constant_values=most))
+        assert np.array_equal(cells.block[a], np.pad(expected, (0, 16 - len(expected)), constant_values=most))
     assert crowded > 100 and crowded < most
 
 
@@ -146,22 +146,22 @@ def test_a_miss_falls_back_to_a_cell_near_by_that_does_not_face_the_other_way():
 def test_a_request_for_a_billion_cells_is_refused_before_it_costs_anything():
     tracemalloc.start()
     for cell in (0.02, 1e-9):
-        with pytest.raises(FieldTooFine, match="cells are needed") as told:
+        with pytest.raises(FieldTooFine, match="cells are needed") as error_info:
             SurfaceCells([grid(1000, 4)], cell)
-        assert told.value.needed > told.value.cap
+        assert error_info.value.needed > error_info.value.cap
     assert tracemalloc.get_traced_memory()[1] < 1e6
     tracemalloc.stop()
     with pytest.raises(FieldTooFine):
         SurfaceCells([grid(100, 4)], 1.0, cap=9_000)
     ribbon = (np.array([[0, 0, 0], [0, 0, 0.5], [1e5, 0, 0]]), np.array([[0, 1, 2]], np.int32))
-    with pytest.raises(FieldTooFine) as told:
+    with pytest.raises(FieldTooFine) as error_info:
         SurfaceCells([ribbon], 0.1)
-    assert told.value.in_a_row and told.value.needed > told.value.cap
+    assert error_info.value.in_a_row and error_info.value.needed > error_info.value.cap
     slivers = np.array([[[0, 0, 9 * k], [0, 0, 9 * k + 1e-3], [1e5, 0, 9 * k]] for k in range(600)], float).reshape(-1, 3)
     tracemalloc.start()
-    with pytest.raises(FieldTooFine) as told:
+    with pytest.raises(FieldTooFine) as error_info:
         SurfaceCells([(slivers, np.arange(1800, dtype=np.int32).reshape(-1, 3))], 1.0)
-    assert not told.value.in_a_row and told.value.needed == 60_000_000
+    assert not error_info.value.in_a_row and error_info.value.needed == 60_000_000
     assert tracemalloc.get_traced_memory()[1] < 1e6
     tracemalloc.stop()
     for cell in (0.0, -1.0, np.nan, np.inf):
@@ -383,7 +383,7 @@ def test_strongest_is_the_first_of_the_greatest_around() -> None:
             around = np.append(field.cells.nearest(k), [[len(field.cells)] * k], axis=0)[own]
             best = around[np.arange(len(own)), held[around].argmax(axis=1)]
             best = np.where(held[around].max(axis=1) > 0, best, np.where(own < 0, len(field.cells), own))
-            value, *there = field.strongest(own, k)
+            value, *positions = field.strongest(own, k)
             assert value.dtype == np.float32 and np.array_equal(value, held[best].astype(np.float32))
-            assert np.array_equal(np.stack(there, axis=1), place[best].astype(np.float32))
+            assert np.array_equal(np.stack(positions, axis=1), place[best].astype(np.float32))
         assert len(field.strongest(own[:0])[0]) == 0

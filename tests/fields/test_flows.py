@@ -60,18 +60,18 @@ def world(
     steer: str = "along(drift, weight: pull)",
     options: Options | None = None,
     radius: str = "size / 2",
-    **more: object,
+    **changes: object,
 ) -> World:
     """Ants at the left end of a floor 400 mm wide."""
     floor = meshes.grid(400.0, cells)
-    given: dict = dict(
+    defaults: dict = dict(
         surfaces={"ground": MeshData(*floor)},
         items={"nest": (ItemData("home", (150.0, 0, 0), 10.0),)},
         flows={"drift": flow or SpreadFlow("toward", GOAL)},
         maps={"damp": Painted("ground", (floor[0][:, 0] + 200) / 400)},
         crowds=(CrowdData("ant", 30, PlaceData(around=(-150.0, 0, 0), radius=30.0)),),
     )
-    return bind(compiled(steer, radius), Setting(**{**given, **more}), options or Options())
+    return bind(compiled(steer, radius), Setting(**{**defaults, **changes}), options or Options())
 
 
 def read(built: World, *points: tuple[float, float]) -> np.ndarray:
@@ -124,7 +124,7 @@ def test_what_is_linear_is_read_exactly_wherever_a_face_is_cut() -> None:
     assert np.allclose(area, 1 / (cuts[owner] ** 2))  # wound alike, of one size: they fill the face
 
 
-def test_edges_are_cut_as_small_as_asked_and_points_at_one_place_are_one() -> None:
+def test_edges_are_cut_as_small_as_requested_and_points_at_one_place_are_one() -> None:
     assert cuts_for(np.array([0.0, 1.0, 10.0, 33.0]), 8.0).tolist() == [1, 1, 2, 8]
     point, count = welded(np.array([[0, 0, 0], [1, 0, 0], [1 + 1e-12, 0, 0], [1, 0, 0]], float), np.array([0, 0, 0, 1]))
     assert count == 3 and point[1] == point[2] != point[3]
@@ -220,13 +220,13 @@ def test_a_solved_flow_goes_round_what_is_solid_and_through_it_once_it_is_dug() 
     floor = {"ground": MeshData(*meshes.grid(400.0, 40))}
     flow = SolvedFlow(GOAL, every=0.25)
 
-    def begun() -> World:
+    def start_world() -> World:
         return bind(lowered, Setting(surfaces=floor, solids={"hill": hill}, flows={"drift": flow}, crowds=(crowd,)))
 
     def ahead(built: World) -> float:
         return float(read(built, (-60, 0))[0, 0])
 
-    built = begun()
+    built = start_world()
     solved = built.flows["drift"].c
     run(built, 7)
     assert built.flows["drift"].c is solved, "nothing was dug, so nothing is solved anew"
@@ -237,7 +237,7 @@ def test_a_solved_flow_goes_round_what_is_solid_and_through_it_once_it_is_dug() 
     cached = checkpoint(built)
     positions = run(built, 6)
     assert ahead(built) > 0.95 and read(built, (0, 0))[0, 0] > 0.9
-    again = begun()
+    again = start_world()
     restore(again, cached)
     assert np.array_equal(run(again, 6), positions) and np.array_equal(again.flows["drift"].c, built.flows["drift"].c)
     assert (away(again, 150, 0) > 100).all()
@@ -330,13 +330,13 @@ def test_the_shortest_way_is_straight_where_nothing_is_in_it(cells: int) -> None
 
 def test_agents_get_round_a_wall_to_the_nest_where_a_flow_straight_to_it_ends() -> None:
     wall = {"rock": MeshData(*meshes.box((-3, -10, -60), (3, 20, 60)))}  # thinner than the floor's triangles
-    built = world(SolvedFlow(GOAL, room=8.0), 20, obstacles=wall)
-    begun = checkpoint(built)
+    built = world(SolvedFlow(GOAL, clearance=8.0), 20, obstacles=wall)
+    start_state = checkpoint(built)
     positions = run(built, 400)
     assert (away(built, 150, 0) < 20).all()
     crossing = np.abs(positions[:, :, 0]).argmin(axis=0)
     assert (np.abs(positions[crossing, np.arange(30), 2]) > 60).all()
-    restore(built, begun)
+    restore(built, start_state)
     set_flow(built, "drift", SpreadFlow("toward", GOAL))
     run(built, 400)
     assert (away(built, 150, 0) > 100).mean() > 0.8
@@ -350,10 +350,10 @@ def test_what_costs_more_is_gone_round() -> None:
     maps = {"damp": Painted("ground", damp)}
     crowd = (CrowdData("ant", 1, PlaceData(points=np.array([[-150.0, 0, 0]]))),)
     built = world(surfaces=surfaces, maps=maps, crowds=crowd)
-    begun = checkpoint(built)
+    start_state = checkpoint(built)
 
     def crossing(flow: SolvedFlow) -> float:
-        restore(built, begun)
+        restore(built, start_state)
         set_flow(built, "drift", flow)
         positions = run(built, 420)[:, 0]
         assert np.linalg.norm(positions[-1, [0, 2]] - [150, 0]) < 20
@@ -440,16 +440,20 @@ def test_a_flow_leads_to_where_a_thing_has_gone() -> None:
 
 def test_an_obstacle_that_moves_is_gone_round_where_it_is_then() -> None:
     stone = meshes.ball(45.0)
-    gone = np.zeros((30, len(stone[0]), 3))
-    gone[10:, :, 2] = 150  # in one go, at frame 10
-    moves = Moves(meshes={"rock": MeshMoves.free(stone[0] + gone)})
-    built = world(SolvedFlow(GOAL, room=10.0, every=0.5), 30, obstacles={"rock": MeshData(*stone)}, moves=moves, steer="halt()")
+    displacement = np.zeros((30, len(stone[0]), 3))
+    displacement[10:, :, 2] = 150  # in one go, at frame 10
+    moves = Moves(meshes={"rock": MeshMoves.free(stone[0] + displacement)})
+    built = world(
+        SolvedFlow(GOAL, clearance=10.0, every=0.5), 30, obstacles={"rock": MeshData(*stone)}, moves=moves, steer="halt()"
+    )
     assert abs(read(built, (-60, 4))[0, 2]) > 0.5
     run(built, 10)
     assert abs(read(built, (-60, 4))[0, 2]) > 0.5  # not looked at since
     run(built, 3)
     assert abs(read(built, (-60, 4))[0, 2]) < 0.2
-    other = world(SolvedFlow(GOAL, room=10.0, every=0.5), 30, obstacles={"rock": MeshData(*stone)}, moves=moves, steer="halt()")
+    other = world(
+        SolvedFlow(GOAL, clearance=10.0, every=0.5), 30, obstacles={"rock": MeshData(*stone)}, moves=moves, steer="halt()"
+    )
     restore(other, checkpoint(built))
     assert state_hash(other) == state_hash(built)
     assert np.array_equal(read(other, (-60, 4)), read(built, (-60, 4)))
@@ -483,10 +487,10 @@ def test_vectors_turn_with_the_ground_they_are_painted_on() -> None:
 def test_another_flow_may_be_put_in_its_place_while_it_runs() -> None:
     built = world()
     run(built, 20)
-    gone = away(built, 150, 0)
+    previous_distances = away(built, 150, 0)
     set_flow(built, "drift", SpreadFlow("away", GOAL))
     run(built, 40)
-    assert (away(built, 150, 0) > gone).all()
+    assert (away(built, 150, 0) > previous_distances).all()
     with pytest.raises(KeyError):
         set_flow(built, "drifft", SpreadFlow("away", GOAL))
     with pytest.raises(BindError) as caught:

@@ -67,24 +67,24 @@ def compiled(text: str = PROGRAM) -> plan.ir.Plan:
 
 
 def world(
-    flow: FlowData | None = None, *, door: float = 0.0, options: Options | None = None, count: int = 9, **more: object
+    flow: FlowData | None = None, *, door: float = 0.0, options: Options | None = None, count: int = 9, **changes: object
 ) -> World:
     """Ants inside of the walls and outside, as many each."""
     crowds = [CrowdData("ant", count, PlaceData(around=at, radius=15.0)) for at in (INSIDE, OUTSIDE)]
-    given: dict = dict(
+    defaults: dict = dict(
         surfaces={"ground": MeshData(*grid(400.0, 40))},
         obstacles={"rock": walls(door)},
         items={"nest": (ItemData("home", (0.0, 0, 0), 10.0),)},
         flows={"drift": flow or SolvedFlow(GOAL)},
         crowds=tuple(crowds) if count else (),
     )
-    return bind(compiled(), Setting(**{**given, **more}), options or Options())
+    return bind(compiled(), Setting(**{**defaults, **changes}), options or Options())
 
 
-def leads(made: World) -> np.ndarray:
+def leads(new_world: World) -> np.ndarray:
     """What agents read in a step, in the order of ids: nine inside, then nine outside."""
-    step(made)
-    ants = made.populations["ant"]
+    step(new_world)
+    ants = new_world.populations["ant"]
     return ants.now["leads"][ants.in_id_order()]
 
 
@@ -100,56 +100,58 @@ BACKENDS = [
 def test_a_closed_wall_cuts_off_those_outside_on_every_backend(options: Options) -> None:
     if options.backend == "native":
         need_llvmlite()
-    made = world(options=options)
-    assert reaching(made, "ant", "drift") == 9
-    assert leads(made).tolist() == [1] * 9 + [0] * 9
-    assert isinstance(made.backend, NativeBackend) == (options.backend == "native")
+    new_world = world(options=options)
+    assert reaching(new_world, "ant", "drift") == 9
+    assert leads(new_world).tolist() == [1] * 9 + [0] * 9
+    assert isinstance(new_world.backend, NativeBackend) == (options.backend == "native")
 
 
 @pytest.mark.parametrize("options", BACKENDS, ids=str)
-def test_without_agents_nothing_is_asked(options: Options) -> None:
+def test_without_agents_nothing_is_computed(options: Options) -> None:
     if options.backend == "native":
         need_llvmlite()
-    made = world(options=options, count=0)
-    assert reaching(made, "ant", "drift") == 0 and len(leads(made)) == 0
+    new_world = world(options=options, count=0)
+    assert reaching(new_world, "ant", "drift") == 0 and len(leads(new_world)) == 0
 
 
 def test_backends_agree_to_the_bit() -> None:
     need_llvmlite()
     hashes = []
     for options in BACKENDS:
-        made = world(options=options, door=30.0)
+        new_world = world(options=options, door=30.0)
         for _ in range(5):
-            step(made)
-        hashes.append(state_hash(made))
+            step(new_world)
+        hashes.append(state_hash(new_world))
     assert len(set(hashes)) == 1
 
 
 def test_those_who_are_cut_off_do_not_come_through_the_wall() -> None:
-    made = world()
+    new_world = world()
     for _ in range(150):
-        step(made)
-    place = made.populations["ant"].position + made.origin
+        step(new_world)
+    place = new_world.populations["ant"].position + new_world.origin
     inside = (np.abs(place[:, [0, 2]]) < 83).all(axis=1)
     assert inside.sum() == 9
     assert np.hypot(place[:, 0] - OUTSIDE[0], place[:, 2] - OUTSIDE[2])[~inside].max() < 30, "they have no direction"
 
 
 @pytest.mark.parametrize(("door", "room", "reached"), [(40.0, 0.0, 18), (40.0, 60.0, 18), (0.0, 60.0, 9)])
-def test_a_door_leads_in_however_narrow_the_room_makes_it(door: float, room: float, reached: int) -> None:
+def test_a_door_leads_in_however_narrow_the_clearance_makes_it(door: float, room: float, reached: int) -> None:
     """`room` makes a path dear, and closes none."""
-    assert reaching(world(SolvedFlow(GOAL, room=room), door=door), "ant", "drift") == reached
+    assert reaching(world(SolvedFlow(GOAL, clearance=room), door=door), "ant", "drift") == reached
 
 
 def test_islands_and_targets_off_the_ground() -> None:
     vertices, faces = grid(100.0, 10)
     isle = MeshData(vertices + np.array([600.0, 0.0, 0.0]), faces)
     surfaces = {"ground": MeshData(*grid(400.0, 40)), "isle": isle}
-    there = Target(np.array([[600.0, 0, 0]]), np.array([10.0]))
-    apart = dict(surfaces=surfaces, obstacles={"rock": MeshData(*ball(5.0, (180, 0, 180)))})
-    assert reaching(world(SolvedFlow(there), **apart), "ant", "drift") == 0, "on another island"
-    assert reaching(world(SolvedFlow(GOAL), **apart), "ant", "drift") == 18
-    assert reaching(world(SolvedFlow(GOAL, on=("isle",)), **apart), "ant", "drift") == 0, "they stand on no face of the flow"
+    far_target = Target(np.array([[600.0, 0, 0]]), np.array([10.0]))
+    island_setting = dict(surfaces=surfaces, obstacles={"rock": MeshData(*ball(5.0, (180, 0, 180)))})
+    assert reaching(world(SolvedFlow(far_target), **island_setting), "ant", "drift") == 0, "on another island"
+    assert reaching(world(SolvedFlow(GOAL), **island_setting), "ant", "drift") == 18
+    assert reaching(world(SolvedFlow(GOAL, on=("isle",)), **island_setting), "ant", "drift") == 0, (
+        "they stand on no face of the flow"
+    )
     off = Target(np.array([[-400.0, 0, 0]]), np.array([1.0]))
     assert reaching(world(SolvedFlow(off)), "ant", "drift") == 9, "the ground nearest to it is its goal"
 
@@ -165,9 +167,9 @@ def test_islands_and_targets_off_the_ground() -> None:
     ids=["toward", "away", "everywhere", "border"],
 )
 def test_of_other_flows_it_is_whether_they_are_anything_there(flow: FlowData, reached: int) -> None:
-    made = world(flow)
-    assert reaching(made, "ant", "drift") == reached
-    assert leads(made).sum() == reached
+    new_world = world(flow)
+    assert reaching(new_world, "ant", "drift") == reached
+    assert leads(new_world).sum() == reached
 
 
 def test_digging_opens_a_path_and_a_checkpoint_goes_on_with_it() -> None:
@@ -178,23 +180,23 @@ def test_digging_opens_a_path_and_a_checkpoint_goes_on_with_it() -> None:
     goal = Target(np.array([[0.0, 0.0, 150.0]]), np.array([10.0]))
     lowered = compiled(text)
 
-    def begun() -> World:
+    def start_world() -> World:
         flows = {"drift": SolvedFlow(goal, every=0.25)}
         setting = Setting(surfaces={"ground": MeshData(*grid(400.0, 40))}, solids={"hill": hill}, flows=flows, crowds=(crowd,))
         return bind(lowered, setting, Options(backend="numpy"))
 
-    made = begun()
-    assert leads(made).tolist() == [0] * 4
+    new_world = start_world()
+    assert leads(new_world).tolist() == [0] * 4
     z = np.linspace(-45, 45, 40)
-    made.solids["hill"].carve(np.stack([0 * z, 0 * z, z], axis=1), np.full(40, 30.0), np.arange(40))
-    assert leads(made).tolist() == [0] * 4, "not before it is time to look"
+    new_world.solids["hill"].carve(np.stack([0 * z, 0 * z, z], axis=1), np.full(40, 30.0), np.arange(40))
+    assert leads(new_world).tolist() == [0] * 4, "not before it is time to look"
     for _ in range(8):
-        found = leads(made)
-    assert found.tolist() == [1] * 4
-    again = begun()
-    restore(again, checkpoint(made))
-    assert state_hash(again) == state_hash(made)
-    assert leads(again).tolist() == leads(made).tolist() == [1] * 4
+        flags = leads(new_world)
+    assert flags.tolist() == [1] * 4
+    again = start_world()
+    restore(again, checkpoint(new_world))
+    assert state_hash(again) == state_hash(new_world)
+    assert leads(again).tolist() == leads(new_world).tolist() == [1] * 4
 
 
 WALKER = """ant 1
@@ -226,30 +228,30 @@ def test_a_run_reports_how_many_no_path_leads_on_from_and_a_spec_can_ask(tmp_pat
     (tmp_path / "ground.obj").write_text(obj(MeshData(*grid(400.0, 40))))
     (tmp_path / "rock.obj").write_text(obj(walls()))
     (tmp_path / "scene.yaml").write_text(SCENE.replace("COUNT", "7"))
-    done = command("run", "scene.yaml", "-q", cwd=tmp_path)
-    assert done.returncode == 0
-    assert "warning[unreachable-target]: 7 of 7 `walker` stand where no path leads to the target of `drift`" in done.stderr
-    assert "scene.yaml:6:19" in done.stderr and "`bird`" not in done.stderr and "when not reachable(drift)" in done.stderr
+    result = command("run", "scene.yaml", "-q", cwd=tmp_path)
+    assert result.returncode == 0
+    assert "warning[unreachable-target]: 7 of 7 `walker` stand where no path leads to the target of `drift`" in result.stderr
+    assert "scene.yaml:6:19" in result.stderr and "`bird`" not in result.stderr and "when not reachable(drift)" in result.stderr
     aware = WALKER.replace(
         "steer along(drift) }", "steer along(drift); when not reachable(drift) -> idle }; state idle { steer halt() }"
     )
     (tmp_path / "walker.ant").write_text(aware.replace("walker { ", "walker { start s; ", 1))
-    done = command("run", "scene.yaml", "-q", cwd=tmp_path)
-    assert "warning[unreachable-target]" in done.stderr and "ignore[unreachable-target] WHY" in done.stderr
-    assert "when not" not in done.stderr
+    result = command("run", "scene.yaml", "-q", cwd=tmp_path)
+    assert "warning[unreachable-target]" in result.stderr and "ignore[unreachable-target] WHY" in result.stderr
+    assert "when not" not in result.stderr
     (tmp_path / "walker.ant").write_text(WALKER)
-    done = command("test", "walker.ant", "--no-keep", cwd=tmp_path)
-    assert done.returncode == 1 and "reachable(drift)" in done.stdout
+    result = command("test", "walker.ant", "--no-keep", cwd=tmp_path)
+    assert result.returncode == 1 and "reachable(drift)" in result.stdout
     (tmp_path / "scene.yaml").write_text(SCENE.replace("COUNT", "0"))
-    done = command("run", "scene.yaml", "-q", cwd=tmp_path)
-    assert done.returncode == 0 and "unreachable" not in done.stderr, done.stderr
+    result = command("run", "scene.yaml", "-q", cwd=tmp_path)
+    assert result.returncode == 0 and "unreachable" not in result.stderr, result.stderr
     (tmp_path / "scene.yaml").write_text(SCENE.replace("COUNT", "7"))
     (tmp_path / "rock.obj").write_text(obj(walls(60.0)))
-    done = command("run", "scene.yaml", "-q", cwd=tmp_path)
-    assert done.returncode == 0 and "unreachable" not in done.stderr, done.stderr
+    result = command("run", "scene.yaml", "-q", cwd=tmp_path)
+    assert result.returncode == 0 and "unreachable" not in result.stderr, result.stderr
     assert command("test", "walker.ant", "--no-keep", cwd=tmp_path).returncode == 0
     scene = SCENE.replace("COUNT", "7")
     (tmp_path / "scene.yaml").write_text(scene.replace("drift: {solved: [0, 0, 0]}", "drift: {solved: [900, 30, 0]}"))
-    done = command("run", "scene.yaml", "-q", cwd=tmp_path)
-    assert done.returncode == 0 and "scene.yaml:6:3" in done.stderr, done.stderr
-    assert "the target of `drift` is 700.6 mm away from the ground" in done.stderr
+    result = command("run", "scene.yaml", "-q", cwd=tmp_path)
+    assert result.returncode == 0 and "scene.yaml:6:3" in result.stderr, result.stderr
+    assert "the target of `drift` is 700.6 mm away from the ground" in result.stderr

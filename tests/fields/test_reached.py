@@ -5,7 +5,7 @@ from __future__ import annotations
 import meshes
 import numpy as np
 import pytest
-from meaning import WAYS
+from meaning import OPTION_SETS
 from plan_text import plan_of
 
 from antdsl.fields.cells import SurfaceCells
@@ -31,9 +31,9 @@ def test_it_is_reached_where_as_much_is_smelled(k: int, monkeypatch: pytest.Monk
     for share in (0.0, 0.01, 0.012, 0.5, 1.0, 0.02, 0.0):
         held = rng.choice([0.1 - 1e-12, float(least), 3.0, np.inf], len(every))  # the first is 0.1 in float32
         field.values[:] = np.where(rng.random(len(every)) < share, held, rng.choice([0.0, 0.0999, np.nan], len(every)))
-        found = reached.now(3)
-        assert np.array_equal(found[:-1] > 0, field.strongest(every, k)[0] >= least) and found[-1] == 0
-        assert np.array_equal(reached.now(), found)
+        is_reached = reached.now(3)
+        assert np.array_equal(is_reached[:-1] > 0, field.strongest(every, k)[0] >= least) and is_reached[-1] == 0
+        assert np.array_equal(reached.now(), is_reached)
 
 
 @pytest.mark.parametrize("least", [0.0, -1.0, np.nan])
@@ -85,15 +85,15 @@ def test_agents_do_the_same_where_it_is_only_compared(asks: str, bounded: int) -
     crowd = CrowdData("a", 24, PlaceData(around=(0.0, 0.0, 0.0), radius=12.0))
     setting = Setting(crowds=(crowd,), surfaces={"ground": MeshData(*meshes.grid(60.0, 3))}, seed=4)
     hashes = []
-    for way in (*WAYS[::2], NATIVE) if machine.available() else WAYS[::2]:
-        world = bind(plan, setting, way)
+    for options in (*OPTION_SETS[::2], NATIVE) if machine.available() else OPTION_SETS[::2]:
+        world = bind(plan, setting, options)
         hashes.append([])
         states = []
         for _ in range(10):
             step(world)
             hashes[-1].append(state_hash(world))
             states.append(world.populations["a"].now["main.state"].mean())
-        if isinstance(world.backend, NativeBackend) and way is NATIVE:
+        if isinstance(world.backend, NativeBackend) and options is NATIVE:
             assert world.backend.ready is not None
             assert len(world.backend.ready.program.blocks["a", "decide"].bounds) == bounded
     assert all(each == hashes[0] for each in hashes)

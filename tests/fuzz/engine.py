@@ -123,7 +123,7 @@ class Campaign:
         folder = Path(os.path.realpath(tempfile.mkdtemp(prefix=f"antdsl-fuzz-{self.target.name}-")))
         current = mmap.mmap(-1, self.target.cap + 16)
         reader, writer = os.pipe()
-        before = self.result.executions
+        previous_count = self.result.executions
         sys.stdout.flush()
         child = os.fork()
         if child == 0:
@@ -146,7 +146,7 @@ class Campaign:
                 self._note(Finding("abort", f"abort {name} between inputs", f"the worker ended with {name}"), b"")
         shutil.rmtree(folder, ignore_errors=True)
         current.close()
-        return self.result.executions > before
+        return self.result.executions > previous_count
 
     def _listen(self, reader: int, child: int, current: mmap.mmap) -> str:
         """Take messages until the worker ends; why it was killed, or nothing."""

@@ -63,20 +63,20 @@ def feed_text(folder: Path) -> Feed:
 
 def _layout(path: Path, source: Source, report: Report, check: bool) -> str:
     """Lay a program out twice; with `check`, also hold the errors of the result against those of the source."""
-    made, findings = syntax.format(source)
-    if made is None:
+    layout, findings = syntax.format(source)
+    if layout is None:
         return "\nno layout " + report_text(findings)
-    again, _ = syntax.format(Source(source.path, made))
-    if again != made:
-        raise Violation("layout", f"a second layout differs:\n{made[:1000]}\n---\n{(again or '')[:1000]}")
+    again, _ = syntax.format(Source(source.path, layout))
+    if again != layout:
+        raise Violation("layout", f"a second layout differs:\n{layout[:1000]}\n---\n{(again or '')[:1000]}")
     if not check:
-        return f"\nlayout of {len(made)} characters"
-    path.write_text(made, encoding="utf-8", errors="surrogatepass", newline="\n")
-    _, after = check_path(path, strict=True)
-    codes, codes_after = (sorted(d.code for d in each.diagnostics if d.severity == "error") for each in (report, after))
+        return f"\nlayout of {len(layout)} characters"
+    path.write_text(layout, encoding="utf-8", errors="surrogatepass", newline="\n")
+    _, next_report = check_path(path, strict=True)
+    codes, codes_after = (sorted(d.code for d in each.diagnostics if d.severity == "error") for each in (report, next_report))
     if codes != codes_after:
         raise Violation("layout", f"other errors after the layout: {codes} and {codes_after}")
-    return f"\nlayout of {len(made)} characters"
+    return f"\nlayout of {len(layout)} characters"
 
 
 def feed_scene(folder: Path) -> Feed:

@@ -57,9 +57,9 @@ class _Errors(logging.Handler):
             self.found.append(_last_line(text) + "\n" + text)
 
     def check(self) -> None:
-        found, self.found = self.found, []
-        if found:
-            raise Violation("bug", found[0])
+        errors, self.found = self.found, []
+        if errors:
+            raise Violation("bug", errors[0])
 
 
 def _last_line(text: str) -> str:
@@ -90,10 +90,10 @@ def feed_websocket(folder: Path) -> Feed:
     async def talk(data: bytes) -> bytes:
         reader, writer = await asyncio.open_unix_connection("s")
         writer.write(data)
-        reading, quiet, before = asyncio.create_task(reader.read()), 0, -1
+        reading, quiet, previous_count = asyncio.create_task(reader.read()), 0, -1
         while quiet < QUIET and not reading.done():  # an end of the stream while a request is read ends it without an answer
             await asyncio.sleep(0)
-            quiet, before = (quiet + 1, before) if before == len(noted.asks) else (0, len(noted.asks))
+            quiet, previous_count = (quiet + 1, previous_count) if previous_count == len(noted.asks) else (0, len(noted.asks))
         try:
             writer.write_eof()
             async with asyncio.timeout(SECONDS):
@@ -117,10 +117,10 @@ def feed_websocket(folder: Path) -> Feed:
 
 def websocket_inputs() -> list[bytes]:
     texts = [json.dumps(each).encode() for each in PAGE_MESSAGES[:14]]
-    made = [b"".join(_frame(1, text) for text in texts), _frame(9, b"ping") + _frame(8, b"\x03\xe8bye"), _frame(2, b"\0\1\2")]
-    made += [_frame(1, b'{"op":', final=False) + _frame(0, b'"play"}'), _frame(1, b"\xff\xfe"), _frame(1, b"[" * 3000)]
-    made += [b"".join(_frame(0, b"", final=False) for _ in range(80)), REQUEST, REQUEST.replace(b"/ws", b"/app.js")]
-    return [*made, _frame(1, b"x" * 300), b"\x81\xff" + b"\xff" * 8 + bytes(8), b"\xc1\x85" + bytes(9)]
+    inputs = [b"".join(_frame(1, text) for text in texts), _frame(9, b"ping") + _frame(8, b"\x03\xe8bye"), _frame(2, b"\0\1\2")]
+    inputs += [_frame(1, b'{"op":', final=False) + _frame(0, b'"play"}'), _frame(1, b"\xff\xfe"), _frame(1, b"[" * 3000)]
+    inputs += [b"".join(_frame(0, b"", final=False) for _ in range(80)), REQUEST, REQUEST.replace(b"/ws", b"/app.js")]
+    return [*inputs, _frame(1, b"x" * 300), b"\x81\xff" + b"\xff" * 8 + bytes(8), b"\xc1\x85" + bytes(9)]
 
 
 def _frame(kind: int, data: bytes, final: bool = True) -> bytes:
@@ -187,19 +187,19 @@ def feed_page(folder: Path) -> Feed:
             live = Live.open(folder / "scene.yaml", None, Options(backend="numpy"), watch=False)
             live._do("join", page)
             for line in data.split(b"\n")[:MESSAGES]:
-                asked = read(line.decode("utf-8", "replace"))
-                if isinstance(asked, Refused):
-                    page.tell(asked.message_out())
+                request = read(line.decode("utf-8", "replace"))
+                if isinstance(request, Refused):
+                    page.tell(request.message_out())
                     continue
-                live._do(asked, page)
+                live._do(request, page)
                 for _ in range(3):
                     live._advance(live.session)
                 live.screen.refresh(clock())
         if errors.getvalue():
             raise Violation("bug", _last_line(errors.getvalue()) + "\n" + errors.getvalue())
-        told = [each for each in page.messages if each.get("op") in ("refused", "outcome", "explained", "breaks")]
+        messages = [each for each in page.messages if each.get("op") in ("refused", "outcome", "explained", "breaks")]
         return "\n".join(
-            [*(json.dumps(each, sort_keys=True)[:300] for each in told), f"frame {live.session.frame} {live.session.hash}"]
+            [*(json.dumps(each, sort_keys=True)[:300] for each in messages), f"frame {live.session.frame} {live.session.hash}"]
         )
 
     return feed

@@ -130,10 +130,10 @@ def nest(rng: random.Random, data: bytes, other: bytes) -> bytes:
 
 
 def _replace_match(rng: random.Random, data: bytes, pattern: re.Pattern[bytes], value: bytes) -> bytes:
-    found = list(pattern.finditer(data))
-    if not found:
+    matches = list(pattern.finditer(data))
+    if not matches:
         return data
-    one = rng.choice(found)
+    one = rng.choice(matches)
     return data[: one.start()] + value + data[one.end() :]
 
 

@@ -109,12 +109,12 @@ class Guard:
         self.allowed = allowed
         self.active = False
         self.noted: list[str] = []
-        places = [str(folder), os.path.realpath(folder), str(ROOT), sys.prefix, sys.base_prefix, os.path.realpath(sys.prefix)]
-        places += [os.path.realpath(path) for path in sys.path if path]
-        places += [os.environ[name] for name in ("ANTDSL_NATIVE_CACHE",) if name in os.environ]
-        self.readable = tuple(place.rstrip("/") + "/" for place in places)
+        folders = [str(folder), os.path.realpath(folder), str(ROOT), sys.prefix, sys.base_prefix, os.path.realpath(sys.prefix)]
+        folders += [os.path.realpath(path) for path in sys.path if path]
+        folders += [os.environ[name] for name in ("ANTDSL_NATIVE_CACHE",) if name in os.environ]
+        self.readable = tuple(place.rstrip("/") + "/" for place in folders)
         self.writable = tuple(
-            place.rstrip("/") + "/" for place in (str(folder), os.path.realpath(folder), *places[6 + len(sys.path) :])
+            place.rstrip("/") + "/" for place in (str(folder), os.path.realpath(folder), *folders[6 + len(sys.path) :])
         )
         sys.addaudithook(self._hook)
 
@@ -141,11 +141,11 @@ class Guard:
             self.noted.append(f"open {name}{' for writing' if writes else ''}")
 
     @staticmethod
-    def _is_below(name: str, places: tuple[str, ...]) -> bool:
+    def _is_below(name: str, folders: tuple[str, ...]) -> bool:
         """A relative path counts as one inside the folder unless it leads upwards: the working directory is the folder."""
         if not os.path.isabs(name):
             return ".." not in name.split("/")
-        return (os.path.normpath(name) + "/").startswith(places)
+        return (os.path.normpath(name) + "/").startswith(folders)
 
 
 class Oracle:
@@ -158,7 +158,7 @@ class Oracle:
         """Feed one input. `paths` notes the call sites, which makes the time longer."""
         findings: list[Finding] = []
         report = ""
-        before, high = _memory(reset=True)
+        start_memory, high = _memory(reset=True)
         self.guard.noted.clear()
         began = process_time() + _of_children()
         with warnings.catch_warnings():
@@ -179,9 +179,9 @@ class Oracle:
         seconds = process_time() + _of_children() - began
         _, high = _memory()
         findings += [Finding("outside", f"outside {each}", each) for each in dict.fromkeys(self.guard.noted)]
-        if high - before > MEMORY_BYTES:
-            findings.append(Finding("memory", "memory", f"{(high - before) // MIB} MiB above the start"))
-        return Outcome(report, seconds, max(0, high - before), tuple(findings))
+        if high - start_memory > MEMORY_BYTES:
+            findings.append(Finding("memory", "memory", f"{(high - start_memory) // MIB} MiB above the start"))
+        return Outcome(report, seconds, max(0, high - start_memory), tuple(findings))
 
 
 def _exception(kind: str, why: BaseException) -> Finding:

@@ -135,8 +135,8 @@ def print_table(results: list[dict[str, Any]]) -> None:
             )
         )
     for each in results:
-        for signature, found in each["findings"].items():
-            print(f"{each['target']}: {signature} ({found.get('count')} times, {found.get('input')})")
+        for signature, finding in each["findings"].items():
+            print(f"{each['target']}: {signature} ({finding.get('count')} times, {finding.get('input')})")
 
 
 if __name__ == "__main__":

@@ -27,8 +27,8 @@ LARGEST = 40_000  # bytes of a seed
 
 
 def _files(*patterns: str, cap: int = LARGEST) -> list[bytes]:
-    found = sorted(path for pattern in patterns for path in ROOT.glob(pattern))
-    return [path.read_bytes() for path in found if path.is_file() and path.stat().st_size <= cap]
+    paths = sorted(path for pattern in patterns for path in ROOT.glob(pattern))
+    return [path.read_bytes() for path in paths if path.is_file() and path.stat().st_size <= cap]
 
 
 def _hostile(cases: Iterable[rows.Row], *endings: str) -> list[bytes]:
@@ -43,9 +43,9 @@ def _words(*lists: Iterable[str]) -> tuple[Mutator, ...]:
 
 
 def programs() -> list[bytes]:
-    made = [Author(random.Random(seed)).program().text.encode() for seed in range(12)]
-    made += [Sensing(seed).text.encode() for seed in range(12)]
-    return made + _files("examples/*/*.ant", "tests/programs/*.ant", "tests/cases/**/*.ant", cap=2500) + [rows.PROGRAM]
+    texts = [Author(random.Random(seed)).program().text.encode() for seed in range(12)]
+    texts += [Sensing(seed).text.encode() for seed in range(12)]
+    return texts + _files("examples/*/*.ant", "tests/programs/*.ant", "tests/cases/**/*.ant", cap=2500) + [rows.PROGRAM]
 
 
 def program_words() -> tuple[Mutator, ...]:
@@ -113,11 +113,11 @@ def obj_files() -> list[bytes]:
 
 
 def ply_files() -> list[bytes]:
-    made = [
+    texts = [
         meshes.binary(struct.pack("<B3i", 3, 0, 1, 2) * 2, 2),
         meshes.binary(struct.pack(">B3i", 3, 0, 1, 2) * 2, 2, order="big"),
     ]
-    return [rows.GROUND, *made, *_hostile(meshes.ROWS, ".ply"), *_files("examples/*/*.ply", cap=8000)]
+    return [rows.GROUND, *texts, *_hostile(meshes.ROWS, ".ply"), *_files("examples/*/*.ply", cap=8000)]
 
 
 def stl_files() -> list[bytes]:
@@ -209,20 +209,20 @@ def gltf_words() -> tuple[Mutator, ...]:
 
 
 def usd_files() -> list[bytes]:
-    made = [usd.GOOD.encode(), *_hostile(usd.ROWS, ".usda", ".usdc", ".usdz"), usd.package("set.usda", usd.GOOD.encode())]
+    texts = [usd.GOOD.encode(), *_hostile(usd.ROWS, ".usda", ".usdc", ".usdz"), usd.package("set.usda", usd.GOOD.encode())]
     try:
         from pxr import Usd
         from usd_bodies import write
     except ImportError:
-        return made
+        return texts
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "a.usdc"
         layer = Usd.Stage.CreateInMemory()
         layer.GetRootLayer().ImportFromString(usd.GOOD)
         layer.GetRootLayer().Export(str(path))
         write(Path(folder) / "b.usda")
-        made += [path.read_bytes(), usd.package("a.usdc", path.read_bytes()), (Path(folder) / "b.usda").read_bytes()]
-    return made
+        texts += [path.read_bytes(), usd.package("a.usdc", path.read_bytes()), (Path(folder) / "b.usda").read_bytes()]
+    return texts
 
 
 def usd_words() -> tuple[Mutator, ...]:
@@ -282,15 +282,15 @@ def body_files() -> list[bytes]:
         "channels": {"hand:tx": [0, 1, 0], "hand:rx": [0, 9, 0], "fist": [0, 1, 2]},
     }
     clip |= {"rotation_order": "xyz", "angles": "degrees", "loop": True, "stride": 2, "marks": {"up": 0.1}, "feet": True}
-    whole = {
+    complete_body = {
         "antdsl_body": 1, "name": "soldier", "front": "+x", "up": "+z", "units": "cm", "rig": rig, "layers": [layer],
         "shapes": [{"file": "sword.obj", "name": "sword", "units": "mm", "material": "steel"}], "clips": [clip],
         "groups": [group],
         "materials": {"steel": [0.5, 0.5, 0.6]}, "metadata": {"a": {"type": "int", "value": 2}},
     }  # fmt: skip
     outside = {"antdsl_body": 1, "from": "arm.glb", "clips": [{"clip": "bend", "name": "salute", "loop": False}], "length": 4}
-    made = [json.dumps(each).encode() for each in (whole, outside, rig, layer, group, clip)]
-    return made + _files("examples/*/*.json") + _legged()
+    texts = [json.dumps(each).encode() for each in (complete_body, outside, rig, layer, group, clip)]
+    return texts + _files("examples/*/*.json") + _legged()
 
 
 def _legged() -> list[bytes]:
@@ -303,7 +303,7 @@ def _legged() -> list[bytes]:
 def body_words() -> tuple[Mutator, ...]:
     from antdsl.bodies.files.definition_document import KNOWN
 
-    more = (
+    extra_words = (
         "null",
         "true",
         "[]",
@@ -325,13 +325,13 @@ def body_words() -> tuple[Mutator, ...]:
         "duty",
         "deforming",
     )
-    return _words(KNOWN, more)
+    return _words(KNOWN, extra_words)
 
 
 def image_files() -> list[bytes]:
     from PIL import Image
 
-    made: list[bytes] = []
+    images: list[bytes] = []
     samples = (np.arange(48).reshape(6, 8) * 900).astype(np.uint16)
     for image, form in (
         (Image.fromarray(samples), "PNG"),
@@ -340,10 +340,10 @@ def image_files() -> list[bytes]:
     ):
         stream = io.BytesIO()
         image.save(stream, form)
-        made.append(stream.getvalue())
+        images.append(stream.getvalue())
     for arrays in ({"a": samples.astype(np.float64)}, {"a": samples[None].astype(np.float32), "b": samples}):
         for write in (np.savez, np.savez_compressed):
             stream = io.BytesIO()
             write(stream, **arrays)  # type: ignore[arg-type]
-            made.append(stream.getvalue())
-    return made
+            images.append(stream.getvalue())
+    return images

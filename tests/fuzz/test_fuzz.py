@@ -93,10 +93,10 @@ KINDS = {
 def test_each_kind_of_mistake_is_found_and_its_input_saved(data: bytes, tmp_path: Path) -> None:
     target = Target("bad", lambda: [b"good"], TEXT, bad, cap=100)
     result = Campaign(target, saves=tmp_path, hang_seconds=0.3 if data == b"hang" else 60.0).feed([data, b"good"])
-    found = {each["kind"]: each["input"] for each in result.findings.values()}
-    assert KINDS[data] in found
+    inputs_by_kind = {each["kind"]: each["input"] for each in result.findings.values()}
+    assert KINDS[data] in inputs_by_kind
     assert result.executions == 2
-    assert (tmp_path / found[KINDS[data]]).read_bytes() == data
+    assert (tmp_path / inputs_by_kind[KINDS[data]]).read_bytes() == data
 
 
 def test_good_inputs_find_nothing() -> None:

@@ -223,9 +223,9 @@ def test_machines_drawn_at_random_are_read(tmp_path: Path, seed: int) -> None:
 
 
 def written(charts: tuple[Chart, ...], format: str) -> bytes:
-    found, report = graphs.write(charts, format)
-    assert found is not None and report.ok
-    return found
+    text, report = graphs.write(charts, format)
+    assert text is not None and report.ok
+    return text
 
 
 def test_svg_is_xml_with_all_words_and_says_where_they_come_from(odd: tuple[Chart, ...]) -> None:
@@ -262,8 +262,8 @@ def test_dot_is_read_by_others_with_every_word_as_it_was(odd: tuple[Chart, ...])
     assert [plain(cluster.get_label()) for cluster in clusters] == ["bug.main", "bug.mood"]
     for chart, cluster in zip(odd, clusters, strict=True):
         nodes = {node.get_name(): plain(node.get_label()) for node in cluster.get_nodes()}
-        wanted = ["\n".join(w for w in (b.name, b.label) if w) if b.name and b.kind != "start" else "" for b in chart.boxes]
-        assert list(nodes.values()) == wanted
+        expected = ["\n".join(w for w in (b.name, b.label) if w) if b.name and b.kind != "start" else "" for b in chart.boxes]
+        assert list(nodes.values()) == expected
         edges = [(plain(e.get_label() or '""'), float(e.get("penwidth")) > 2) for e in cluster.get_edges()]
         assert edges == [("\n".join(arrow.lines), arrow.interrupt) for arrow in chart.arrows]
 
@@ -279,8 +279,8 @@ BOX = re.compile(r'    (\w+)(?:\["([^"]*)"\]|\(\("([^"]*)"\)\)|\(\["([^"]*)"\]\)
 def test_mermaid_has_every_box_and_arrow_and_nothing_that_it_would_take_for_a_sign(odd: tuple[Chart, ...]) -> None:
     lines = written(odd, "mermaid").decode("ascii").splitlines()
     assert lines[0] == "flowchart TB"
-    boxes = [found for line in lines if (found := BOX.fullmatch(line))]
-    links = [found for line in lines if (found := LINK.fullmatch(line))]
+    boxes = [match for line in lines if (match := BOX.fullmatch(line))]
+    links = [match for line in lines if (match := LINK.fullmatch(line))]
     rest = [line for line in lines[1:] if not BOX.fullmatch(line) and not LINK.fullmatch(line)]
     assert all(
         re.fullmatch(r'  (subgraph m\d\["[\w.]+"\]|  direction TB|end|(style m\db\d+|linkStyle \d+) [\w:#,. -]+)', r)
@@ -290,8 +290,8 @@ def test_mermaid_has_every_box_and_arrow_and_nothing_that_it_would_take_for_a_si
     arrows = [arrow for chart in odd for arrow in chart.arrows]
     assert [(read(f[3] or ""), f[2] == "==>") for f in links] == [("\n".join(a.lines), a.interrupt) for a in arrows]
     assert "idle\n<b>`x`</b> & 50 % #1; *a* été · for at least 2 s" in [read(f[2] or "") for f in boxes]
-    for found in [*boxes, *links]:
-        assert not re.search(r"[`*<>&#;]", re.sub(r"#\d+;|<br/>", "", found[0]).replace("-->", "").replace("==>", ""))
+    for match in [*boxes, *links]:
+        assert not re.search(r"[`*<>&#;]", re.sub(r"#\d+;|<br/>", "", match[0]).replace("-->", "").replace("==>", ""))
 
 
 def read(text: str) -> str:
@@ -305,9 +305,9 @@ def test_the_same_program_gives_the_same_bytes_in_another_process_and_folder(
     (tmp_path / "odd.ant").write_text(ODD, encoding="utf-8")
     command = [sys.executable, "-m", "antdsl", "graph", "odd.ant", "--format", format, "--out", "-"]
     environment = child_environment(PYTHONHASHSEED="7")
-    done = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, timeout=60)
-    assert done.returncode == 0, done.stderr
-    assert done.stdout == written(odd, format)
+    result = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, timeout=60)
+    assert result.returncode == 0, result.stderr
+    assert result.stdout == written(odd, format)
 
 
 # --- the command -----------------------------------------------------------------------------------------------------
@@ -356,8 +356,8 @@ def test_mistakes_end_in_words(
 ) -> None:
     (odd_file.parent / "broken.ant").write_text(ODD.replace("-> roam", "-> roan"), encoding="utf-8")
     (odd_file.parent / "still.ant").write_text('ant 1\nbehaviour b() -> number {\n  "One."\n  1\n}\n', encoding="utf-8")
-    found, printed = command(monkeypatch, capfd, odd_file.parent, *words)
-    assert found == code and message in printed
+    exit_code, printed = command(monkeypatch, capfd, odd_file.parent, *words)
+    assert exit_code == code and message in printed
 
 
 def test_without_the_extra_pictures_name_it_and_texts_are_written(
@@ -365,8 +365,8 @@ def test_without_the_extra_pictures_name_it_and_texts_are_written(
 ) -> None:
     monkeypatch.setitem(sys.modules, "graphlay", None)
     for format in ("svg", "png"):
-        found, report = graphs.write(odd, format)
-        assert found is None and [d.code for d in report.errors] == ["missing-extra"]
+        text, report = graphs.write(odd, format)
+        assert text is None and [d.code for d in report.errors] == ["missing-extra"]
         assert 'pip install "antdsl[graph]"' in report.errors[0].help
     assert written(odd, "mermaid") and written(odd, "dot")
 

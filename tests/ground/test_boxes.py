@@ -20,11 +20,11 @@ def scene(far: float = 0.0) -> MeshGround:
     vertices, faces = joined([soup(400), ball(6, (9, 2, 0), 9), terrain(60, 20)])
     squeezed = vertices[faces[:100]]
     squeezed[:, 2] = squeezed[:, :2].mean(axis=1) + 1e-4
-    made = joined([(vertices, faces), (squeezed.reshape(-1, 3), np.arange(300).reshape(-1, 3))])
-    return MeshGround({"all": (made[0] + far, made[1])})
+    mesh = joined([(vertices, faces), (squeezed.reshape(-1, 3), np.arange(300).reshape(-1, 3))])
+    return MeshGround({"all": (mesh[0] + far, mesh[1])})
 
 
-def ways(ground: MeshGround, rng: np.random.Generator) -> tuple[Floats, Floats]:
+def random_steps(ground: MeshGround, rng: np.random.Generator) -> tuple[Floats, Floats]:
     corners = ground._vertices[ground._faces[rng.integers(0, len(ground._faces), N)]]
     aim = (corners * rng.dirichlet((0.4, 0.4, 0.4), N)[:, :, None]).sum(axis=1)
     step = rng.normal(size=(N, 3)) * rng.choice([0.01, 1.0, 20.0], (N, 1))
@@ -35,11 +35,11 @@ def ways(ground: MeshGround, rng: np.random.Generator) -> tuple[Floats, Floats]:
 def first_met(ground: MeshGround, origin: Floats, step: Floats, face: int, piece: int) -> tuple[int, float, float, float]:
     """The first face on a way that goes on by a millionth of a mm: the kernel's functions, as Python runs them."""
     table, boxes = ground.triangles[3], ground._boxes.tree()
-    found = FaceList(np.empty(len(table.live), np.int64), 0)
-    one, way = tuple(origin.tolist()), tuple(step.tolist())
+    face_list = FaceList(np.empty(len(table.live), np.int64), 0)
+    one, displacement = tuple(origin.tolist()), tuple(step.tolist())
     with np.errstate(all="ignore"):
-        count = gather(table.piece, boxes, one, tuple((origin + step).tolist()), 0.01, face, piece, found)
-        hit = first_of(ground._walk().packed, boxes, found, count, one, way, 1e-6)
+        count = gather(table.piece, boxes, one, tuple((origin + step).tolist()), 0.01, face, piece, face_list)
+        hit = first_of(ground._walk().packed, boxes, face_list, count, one, displacement, 1e-6)
     return hit.face, hit.part, *hit.weights
 
 
@@ -47,14 +47,14 @@ def first_met(ground: MeshGround, origin: Floats, step: Floats, face: int, piece
 def test_the_first_triangle_of_a_way_is_that_of_a_look_at_all(far: float) -> None:
     ground, rng = scene(far), np.random.default_rng(2)
     table = ground.triangles[3]
-    origin, step = ways(ground, rng)
+    origin, step = random_steps(ground, rng)
     face, piece = np.full(N, -1), np.full(N, -1, np.int32)
     face[::2] = rng.integers(0, table.live.size, N // 2)
     piece[::3] = table.piece[rng.integers(0, table.live.size, N // 3)]
     each = [first_met(ground, origin[:, k], step[:, k], face[k], piece[k]) for k in range(N)]
-    found, part, b1, b2 = (np.array(column) for column in zip(*each, strict=True))
+    hits, part, b1, b2 = (np.array(column) for column in zip(*each, strict=True))
     a, e1, e2 = table.corner.T, table.edge1.T, table.edge2.T
-    met = 0
+    hit_count = 0
     for k in range(N):
         o, d = origin[:, k], step[:, k]
         p = np.cross(d, e2)
@@ -63,38 +63,38 @@ def test_the_first_triangle_of_a_way_is_that_of_a_look_at_all(far: float) -> Non
             u, v = ((o - a) * p).sum(axis=1) / det, (np.cross(o - a, e1) @ d) / det
             t = (e2 * np.cross(o - a, e1)).sum(axis=1) / det
         slant = np.abs(det) / np.sqrt((d @ d) * (e1 * e1).sum(axis=1) * (e2 * e2).sum(axis=1))
-        asked = table.live & (np.arange(len(a)) != face[k]) & (table.piece != piece[k]) & (slant > 1e-9)
-        surely = asked & (u > 1e-7) & (v > 1e-7) & (u + v < 1 - 1e-7) & (t > 1e-7) & (t < 1 - 1e-7)
-        maybe = asked & (u > -1e-7) & (v > -1e-7) & (u + v < 1 + 1e-7) & (t > -1e-7) & (t < 1 + 1e-3)
-        if found[k] >= 0:
-            assert maybe[found[k]] and abs(t[found[k]] - part[k]) < 1e-7
-            assert abs(u[found[k]] - b1[k]) < 1e-7 and abs(v[found[k]] - b2[k]) < 1e-7
+        candidates = table.live & (np.arange(len(a)) != face[k]) & (table.piece != piece[k]) & (slant > 1e-9)
+        surely = candidates & (u > 1e-7) & (v > 1e-7) & (u + v < 1 - 1e-7) & (t > 1e-7) & (t < 1 - 1e-7)
+        maybe = candidates & (u > -1e-7) & (v > -1e-7) & (u + v < 1 + 1e-7) & (t > -1e-7) & (t < 1 + 1e-3)
+        if hits[k] >= 0:
+            assert maybe[hits[k]] and abs(t[hits[k]] - part[k]) < 1e-7
+            assert abs(u[hits[k]] - b1[k]) < 1e-7 and abs(v[hits[k]] - b2[k]) < 1e-7
             assert not surely.any() or part[k] <= t[surely].min() + 1e-9
-            met += 1
+            hit_count += 1
         else:
             assert not surely.any()
-    assert met > 0.3 * N
+    assert hit_count > 0.3 * N
 
 
-def test_boxes_that_are_fitted_anew_are_those_that_are_made_anew() -> None:
+def test_refitted_boxes_are_those_that_are_built_afresh() -> None:
     ground, rng = scene(), np.random.default_rng(3)
     vertices, faces, live = ground._vertices, ground._faces, np.flatnonzero(ground.triangles[3].live)
     group = (ground._vertices[faces[:, 0], 0] > 0).astype(np.int32)
-    there = vertices @ np.array([[0.0, 1, 0], [-1, 0, 0], [0, 0, 1]]) * 1.5 + 7.0
+    moved_vertices = vertices @ np.array([[0.0, 1, 0], [-1, 0, 0], [0, 0, 1]]) * 1.5 + 7.0
     loose = np.unique(faces[group == 1])
-    there[np.setdiff1d(np.arange(len(vertices)), loose)] = vertices[np.setdiff1d(np.arange(len(vertices)), loose)]
+    moved_vertices[np.setdiff1d(np.arange(len(vertices)), loose)] = vertices[np.setdiff1d(np.arange(len(vertices)), loose)]
     faces = faces.copy()
     held = np.isin(faces, loose).any(axis=1)
     boxes = Boxes.of(vertices, faces, live, held.astype(np.int32))
-    fresh = Boxes.of(there, faces, live, held.astype(np.int32))
-    boxes.fit(there, faces, int((~held[live]).sum()))
-    moved, corners = there[faces], faces
+    fresh = Boxes.of(moved_vertices, faces, live, held.astype(np.int32))
+    boxes.fit(moved_vertices, faces, int((~held[live]).sum()))
+    moved, corners = moved_vertices[faces], faces
     low = rng.uniform(-15, 30, (3, 50))
     for high in (low + 0.1, low + 8.0):
         pairs = [np.sort(ray * len(corners) + face) for ray, face in (b.near(low, high) for b in (boxes, fresh))]
         beside = (moved.min(axis=1)[:, None] <= high.T).all(axis=2) & (moved.max(axis=1)[:, None] >= low.T).all(axis=2)
-        there, ray = np.nonzero(beside & ground.triangles[3].live[:, None])
-        assert np.array_equal(pairs[0], pairs[1]) and np.array_equal(pairs[0], np.sort(ray * len(corners) + there))
+        moved_vertices, ray = np.nonzero(beside & ground.triangles[3].live[:, None])
+        assert np.array_equal(pairs[0], pairs[1]) and np.array_equal(pairs[0], np.sort(ray * len(corners) + moved_vertices))
 
 
 def test_ground_without_a_triangle_is_met_nowhere() -> None:

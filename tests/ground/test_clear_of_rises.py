@@ -47,13 +47,13 @@ def test_no_other_piece_is_nearer(offset: float) -> None:
             assert clear[face] >= least - 0.3, "spheres and a plane have no creases: it is near what can be known"
 
 
-def test_many_pieces_are_asked_no_more_of_than_few(monkeypatch: pytest.MonkeyPatch) -> None:
-    asked, built = 0, 0
+def test_many_pieces_need_no_more_lookups_than_few(monkeypatch: pytest.MonkeyPatch) -> None:
+    point_count, built = 0, 0
     closest, fill = RayScene.closest, RayScene._fill
 
     def count_places(scene: RayScene, points: Floats, *rest: object) -> object:
-        nonlocal asked
-        asked += len(points)
+        nonlocal point_count
+        point_count += len(points)
         return closest(scene, points, *rest)  # type: ignore[arg-type]
 
     def count_faces(scene: RayScene, meshes: list[tuple[Floats, NDArray[np.int32]]]) -> None:
@@ -65,13 +65,13 @@ def test_many_pieces_are_asked_no_more_of_than_few(monkeypatch: pytest.MonkeyPat
     monkeypatch.setattr(RayScene, "_fill", count_faces)
     for count in (6, 60):
         corners, table = field_of_stones(count)
-        asked = built = 0
+        point_count = built = 0
         clear_of_rises(corners, table)
         assert built == len(corners)
-        assert len(corners) / 2 < asked < 4 * len(corners), (count, asked)
+        assert len(corners) / 2 < point_count < 4 * len(corners), (count, point_count)
 
 
-def test_all_are_named_for_whom_something_rises_and_few_besides() -> None:
+def test_every_point_with_a_rise_is_named_and_few_besides() -> None:
     """By distances in float64 to every crease and every face of another piece or a cut one."""
     corners, table = field_of_stones(12)
     rng, first = np.random.default_rng(3), np.array([0, 400, len(corners)])
@@ -82,8 +82,8 @@ def test_all_are_named_for_whom_something_rises_and_few_besides() -> None:
     local, where, reach[:4] = (face - first[mesh]).astype(np.int32), mesh.copy(), [0.0, -1.0, np.nan, 5.0]
     where[3:5], local[5], where[6] = -1, -1, 2
     map_, width = RiseMap(corners, table, []), max(np.ptp(corners, axis=(0, 1))) / 192
-    found = map_.rising(where, local, first, place, reach, [], 2)
-    assert (np.diff(found) > 0).all() and not np.isin(range(7), found).any()
+    rows = map_.rising(where, local, first, place, reach, [], 2)
+    assert (np.diff(rows) > 0).all() and not np.isin(range(7), rows).any()
     half = inner_creases(table, corners)
     one, two = (corners[half // 3, (half % 3 + k) % 3] for k in (1, 2))
     sharp = np.stack([one, two, two], axis=1)
@@ -94,17 +94,17 @@ def test_all_are_named_for_whom_something_rises_and_few_besides() -> None:
         away = np.sqrt(((nearest_on_triangle(at, others) - at) ** 2).sum(axis=1)).min()
         near = clear[face[k]] <= reach[k]
         if away <= reach[k]:
-            assert k in found
+            assert k in rows
         if not near or (size[face[k]] > reach[k] and away > 2 * max(reach[k], width) + 5 * width):
-            assert k not in found
+            assert k not in rows
         if near and size[face[k]] <= reach[k]:
-            assert k in found
+            assert k in rows
         alone = map_.rising(where[k : k + 1], local[k : k + 1], first, place[k : k + 1], reach[k : k + 1], [])
-        assert len(alone) == (k in found)
-    assert 50 < len(found) < 250
+        assert len(alone) == (k in rows)
+    assert 50 < len(rows) < 250
     moving = RiseMap(corners, table, [np.arange(len(corners)) < 400])
     box = (np.array([-50.0, -50, -9]), np.array([50.0, 50, 40]))
     inside = ((place >= box[0] - reach[:, None]) & (place <= box[1] + reach[:, None])).all(axis=1) & (np.arange(300) >= 7)
-    found = moving.rising(where, local, first, place, reach, [box])
-    assert np.isin(np.flatnonzero(inside), found).all() and len(found) < 293
+    rows = moving.rising(where, local, first, place, reach, [box])
+    assert np.isin(np.flatnonzero(inside), rows).all() and len(rows) < 293
     assert not len(map_.rising(where[:0], local[:0], first, place[:0], reach[:0], []))

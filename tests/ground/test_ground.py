@@ -17,12 +17,12 @@ from tests.meshes import ball, box, grid, terrain
 UP = np.array([0.0, 1.0, 0.0])
 
 
-def start(ground: MeshGround, places: list | np.ndarray, headings: list | np.ndarray, up: np.ndarray = UP) -> Move:
+def start(ground: MeshGround, positions: list | np.ndarray, headings: list | np.ndarray, up: np.ndarray = UP) -> Move:
     """Agents at the nearest points of a ground, as after a step of no length."""
-    places, headings = np.array(places, np.float64), np.array(headings, np.float64)
-    footing, _ = ground.nearest(places)
-    ups = np.broadcast_to(up, places.shape)
-    return ground.move(footing, np.zeros_like(places), headings, ups, 4.0)
+    positions, headings = np.array(positions, np.float64), np.array(headings, np.float64)
+    footing, _ = ground.nearest(positions)
+    ups = np.broadcast_to(up, positions.shape)
+    return ground.move(footing, np.zeros_like(positions), headings, ups, 4.0)
 
 
 def step(ground: MeshGround, at: Move, length: float, threads: int = 1) -> Move:
@@ -44,17 +44,17 @@ def test_place_is_the_first_surface_from_above_or_the_nearest_point():
     meshes = {"ground": grid(100, 5), "shelf": box((10, 20, -10), (30, 22, 10))}
     ground = MeshGround(meshes)
     points = np.array([[0, -500, 0], [20, 1, 0], [70, 30, 0]], np.float64)
-    footing, found = ground.place(points, UP)
-    assert found.tolist() == [True, True, False]
+    footing, is_placed = ground.place(points, UP)
+    assert is_placed.tolist() == [True, True, False]
     assert np.allclose(ground.position(footing), [[0, 0, 0], [20, 22, 0], [50, 0, 0]], atol=1e-5)
     assert footing.mesh.tolist() == [0, 1, 0]
-    footing, found = ground.place(points, UP, on=["ground"])
+    footing, is_placed = ground.place(points, UP, on=["ground"])
     assert np.allclose(ground.position(footing)[1], [20, 0, 0], atol=1e-5)
     with pytest.raises(KeyError, match="no surface `moon`"):
         ground.place(points, UP, on=["moon"])
     tilted = MeshGround({"z up": (grid(100, 4)[0][:, [0, 2, 1]], grid(100, 4)[1])})
-    footing, found = tilted.place(np.array([[3.0, 4.0, 50.0]]), np.array([0, 0, 1.0]))
-    assert found[0] and np.allclose(tilted.position(footing), [[3, 4, 0]], atol=1e-5)
+    footing, is_placed = tilted.place(np.array([[3.0, 4.0, 50.0]]), np.array([0, 0, 1.0]))
+    assert is_placed[0] and np.allclose(tilted.position(footing), [[3, 4, 0]], atol=1e-5)
 
 
 @pytest.mark.parametrize("degrees", [0, 30, 60, 85, 120, 180])
@@ -67,9 +67,9 @@ def test_a_slope_neither_speeds_up_nor_slows_down(degrees):
     along = np.array([np.cos(turn), np.sin(turn), 0])
     at = start(ground, [along * -40], [along], normal)
     for _ in range(60):
-        before = at
+        previous_move = at
         at = step(ground, at, 1.25)
-        assert np.linalg.norm(at.position - before.position) == pytest.approx(1.25, abs=1e-9)
+        assert np.linalg.norm(at.position - previous_move.position) == pytest.approx(1.25, abs=1e-9)
         assert at.travelled[0] == pytest.approx(1.25, abs=1e-12)
     assert np.allclose(at.position, along * 35, atol=1e-6) and np.allclose(at.heading, along) and np.allclose(at.up, normal)
 
@@ -79,15 +79,15 @@ def test_around_a_cube_and_back_outside_and_inside(inside):
     mesh = box((-10, -10, -10), (10, 10, 10))
     ground = MeshGround({"cube": mesh})
     at = start(ground, [[0.3, 10, 1.0]], [[1, 0, 0]], -UP if inside else UP)
-    first, seen = at.position, set()
+    first, up_vectors = at.position, set()
     for _ in range(64):
         at = step(ground, at, 1.25)
-        seen.add(tuple(np.round(at.up[0]).astype(int)))
+        up_vectors.add(tuple(np.round(at.up[0]).astype(int)))
         assert at.travelled[0] == pytest.approx(1.25, abs=1e-12)
         check(ground, [mesh], at)
     assert np.allclose(at.position, first, atol=1e-9) and np.allclose(at.heading, [[1, 0, 0]])
     sign = -1 if inside else 1
-    assert seen == {(0, sign, 0), (sign, 0, 0), (0, -sign, 0), (-sign, 0, 0)}
+    assert up_vectors == {(0, sign, 0), (sign, 0, 0), (0, -sign, 0), (-sign, 0, 0)}
 
 
 def test_a_plate_thinner_than_a_step_is_walked_round_its_rim():
@@ -195,10 +195,10 @@ def test_a_crowd_on_all_sorts_of_ground_is_never_lost():
     at = ground.move(footing, np.zeros((n, 3)), rng.normal(size=(n, 3)), ground.upright(footing, UP), 4.0)
     for k in range(100):
         heading = at.heading + np.cross(at.up, at.heading) * rng.normal(0, 0.3, (n, 1))
-        before = at
+        previous_move = at
         at = ground.move(at.footing, heading / np.linalg.norm(heading, axis=1, keepdims=True) * 1.25, heading, at.up, 4.0)
-        gone = np.linalg.norm(at.position - before.position, axis=1)
-        assert gone.max() < 1.25 + 1.1
+        distances = np.linalg.norm(at.position - previous_move.position, axis=1)
+        assert distances.max() < 1.25 + 1.1
         assert np.allclose(at.travelled[~at.blocked], 1.25, atol=1.1)
         if k % 20 == 0:
             check(ground, meshes, at)
@@ -225,14 +225,14 @@ def test_odd_wishes_leave_an_agent_where_it_is():
     ground = MeshGround({"ground": grid(100, 10)})
     at = start(ground, [[1, 0, 1]] * 4, [[1, 0, 0]] * 4)
     wish = np.array([[np.nan, 0, 0], [np.inf, 0, 0], [0, -5, 0], [0, 0, 0]])
-    after = ground.move(at.footing, wish, at.heading, at.up, 4.0)
-    assert np.array_equal(after.position, at.position) and np.allclose(after.heading, at.heading)
-    assert not after.travelled.any() and not after.blocked.any()
+    next_move = ground.move(at.footing, wish, at.heading, at.up, 4.0)
+    assert np.array_equal(next_move.position, at.position) and np.allclose(next_move.heading, at.heading)
+    assert not next_move.travelled.any() and not next_move.blocked.any()
     nowhere = ground.move(Footing.nowhere(2), np.ones((2, 3)), np.ones((2, 3)), np.ones((2, 3)), 4.0)
     assert nowhere.lost.all() and (nowhere.footing.face == -1).all() and np.isfinite(nowhere.position).all()
     empty = MeshGround({})
-    footing, found = empty.place(np.zeros((3, 3)), UP)
-    assert not found.any() and empty.move(footing, np.ones((3, 3)), np.ones((3, 3)), np.ones((3, 3)), 4.0).lost.all()
+    footing, is_placed = empty.place(np.zeros((3, 3)), UP)
+    assert not is_placed.any() and empty.move(footing, np.ones((3, 3)), np.ones((3, 3)), np.ones((3, 3)), 4.0).lost.all()
 
 
 def test_the_smooth_normal_is_steady_on_a_ball_and_flat_on_a_cube():
@@ -252,7 +252,7 @@ def test_the_smooth_normal_is_steady_on_a_ball_and_flat_on_a_cube():
 
 
 @pytest.mark.parametrize("middle", [-11.0, -5.0, 3.0, 13.0])
-def test_nobody_slips_under_the_ground_or_into_a_boulder_however_deep_it_is_sunk(middle):
+def test_no_agent_slips_under_the_ground_or_into_a_boulder_however_deep_it_is_sunk(middle):
     meshes = [grid(160, 30), ball(15, (0.3, middle, 0.2), 14)]
     ground = MeshGround({"ground": meshes[0], "boulder": meshes[1]})
     rng = np.random.default_rng(2)
@@ -282,9 +282,9 @@ def test_steps_on_a_plane_are_taken_back() -> None:
     plane, start = Plane(UP), np.zeros((3, 3))
     ahead, up = np.tile([1.0, 0.0, 0.0], (3, 1)), np.tile(UP, (3, 1))
     moved = plane.move(plane.nowhere(3), 5 * ahead, ahead, up, 1.0)
-    some = np.array([0, 2])
-    back = moved.take(some)
-    moved.put(some, plane.move(back.footing, -3 * ahead[some], back.heading, back.up, 1.0))
+    subset = np.array([0, 2])
+    back = moved.take(subset)
+    moved.put(subset, plane.move(back.footing, -3 * ahead[subset], back.heading, back.up, 1.0))
     assert (moved.position - start)[:, 0].tolist() == [2, 5, 2] and (moved.up == UP).all()
     assert moved.travelled.tolist() == [3, 5, 3]
 
@@ -297,12 +297,12 @@ def test_every_ground_has_the_same_doors() -> None:
     still: Ground = MeshGround({"sheet": sheet})
     moving: Ground = MovingGround({"sheet": sheet}, ["sheet"])
     both: Ground = Terrain(MeshGround({"sheet": sheet}), {"cube": cube}, UP)
-    places = np.array([[0.0, 9.0, 0.0], [40.0, 3.0, 9.0]])
+    positions = np.array([[0.0, 9.0, 0.0], [40.0, 3.0, 9.0]])
     for ground in (plane, still, moving, both):
-        dropped, found = ground.place(places, UP)
-        near, distance = ground.nearest(places)
+        dropped, is_placed = ground.place(positions, UP)
+        near, distance = ground.nearest(positions)
         footing = Footing.joined(ground.nowhere(0), dropped, near)
-        assert found.all() and distance.shape == (2,) and len(footing) == 4
+        assert is_placed.all() and distance.shape == (2,) and len(footing) == 4
         assert footing.columns.keys() == ground.nowhere(3).columns.keys() and len(ground.nowhere(3)) == 3
         assert {name: column.dtype for name, column in footing.columns.items()} == {
             name: column.dtype for name, column in ground.nowhere(1).columns.items()
@@ -314,4 +314,4 @@ def test_every_ground_has_the_same_doors() -> None:
         assert np.allclose(moved.position - at, (1.0, 0.0, 0.0)) and not moved.lost.any()
         footing.put(np.array([0, 1]), moved.footing.take(np.array([2, 3])))
         assert np.allclose(ground.position(footing)[:2], moved.position[2:])
-    assert both.place(places, UP)[0].mesh.tolist() == [1, 0]
+    assert both.place(positions, UP)[0].mesh.tolist() == [1, 0]

@@ -49,18 +49,18 @@ GROUNDS = {
     "a sheet below": beside(0, -0.9, 0),
     "a sheet far below": beside(0, -9, 0),
     "an L": {"l": (grid(40, 4)[0], grid(40, 4)[1][grid(40, 4)[0][grid(40, 4)[1]].mean(axis=1).min(axis=1) < 0])},
-    **{name: {"worse": made()} for name, made in WORSE.items()},
+    **{name: {"worse": build()} for name, build in WORSE.items()},
 }
 
 
-def found(ground: MeshGround, widest: float = BODY) -> np.ndarray:
+def find_borders(ground: MeshGround, widest: float = BODY) -> np.ndarray:
     return open_borders(ground._table, ground._boxes, ground._scale, widest)
 
 
 @pytest.mark.parametrize("name", GROUNDS)
 def test_no_way_leads_on_from_an_open_border(name: str) -> None:
     ground, rng = MeshGround(GROUNDS[name]), np.random.default_rng(1)
-    half = np.repeat(found(ground), EACH)
+    half = np.repeat(find_borders(ground), EACH)
     n, face, k = len(half), half // 3, half % 3
     along = rng.choice([0.0, 1e-9, 1.0], n) if n else np.zeros(0)
     along = np.where(rng.random(n) < 0.8, rng.random(n), along)
@@ -89,22 +89,22 @@ def test_no_way_leads_on_from_an_open_border(name: str) -> None:
 )
 def test_borders_are_open_where_nothing_is_near(name: str, share: float) -> None:
     ground = MeshGround(GROUNDS[name])
-    assert len(found(ground)) == share * np.count_nonzero(ground._table.link[0] == NO_LINK)
+    assert len(find_borders(ground)) == share * np.count_nonzero(ground._table.link[0] == NO_LINK)
 
 
 def test_wider_bodies_find_more() -> None:
     ground = MeshGround(GROUNDS["a sheet far below"])
-    assert len(found(ground, 10.0)) == 8 and not len(found(ground, 20.0))
+    assert len(find_borders(ground, 10.0)) == 8 and not len(find_borders(ground, 20.0))
 
 
 def test_no_more_pairs_are_looked_at_than_pay(monkeypatch: pytest.MonkeyPatch) -> None:
     ground = MeshGround(GROUNDS["a finer sheet"])
-    whole = found(ground, 30.0)
-    assert len(whole) == 36
+    all_borders = find_borders(ground, 30.0)
+    assert len(all_borders) == 36
     monkeypatch.setattr(module, "_AT_ONCE", 50)
-    assert np.array_equal(found(ground, 30.0), whole)
+    assert np.array_equal(find_borders(ground, 30.0), all_borders)
     monkeypatch.setattr(module, "_PAIRS", 500)
-    assert 0 < len(found(ground, 30.0)) < 36
+    assert 0 < len(find_borders(ground, 30.0)) < 36
 
 
 def marked(walk: walk_events.Walk) -> int:
@@ -154,8 +154,8 @@ def test_a_crowd_along_open_borders_gets_the_same_bits(monkeypatch: pytest.Monke
 
 
 def looked_at(on, waiting: list[int]):
-    def counted(self: walk_events.CrowdWalk, some: walk_events.Waiting, *rest):
-        waiting.append(some.wholes.shape[1])
-        return on(self, some, *rest)
+    def counted(self: walk_events.CrowdWalk, batch: walk_events.Waiting, *rest):
+        waiting.append(batch.wholes.shape[1])
+        return on(self, batch, *rest)
 
     return counted

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from meshes import Mesh, box, grid
 from numpy.typing import NDArray
-from open_shapes import WORSE, Led, joined, led, ribbon, sheet, turned
+from open_shapes import WORSE, Connectivity, find_connectivity, joined, ribbon, sheet, turned
 from sampling import sampled
 from torture_long import from_file
 from torture_walks import BODY, STEP, crowd, shapes
@@ -36,7 +36,7 @@ class Watch:
     """What is told of a crowd: of those who stepped over, whose feet cannot have gone that way."""
 
     mesh: Mesh
-    led: Led
+    sides: Connectivity
     changed: list[tuple[int, int, int]] = field(default_factory=list)
     through: list[tuple[int, int, int]] = field(default_factory=list)
     farthest: float = 0.0
@@ -44,65 +44,67 @@ class Watch:
     over: int = 0
     wish: Floats = field(default_factory=lambda: np.empty((0, 3)))
 
-    def look(self, ground: MeshGround, before: Move, at: Move, step: float, closely: bool) -> None:
-        gone = np.linalg.norm(at.position - before.position, axis=1)
-        self.farthest = max(self.farthest, float(gone.max()) / step, float(at.travelled.max()) / step)
+    def look(self, ground: MeshGround, previous_move: Move, at: Move, step: float, closely: bool) -> None:
+        distances = np.linalg.norm(at.position - previous_move.position, axis=1)
+        self.farthest = max(self.farthest, float(distances.max()) / step, float(at.travelled.max()) / step)
         self.lost += int((at.lost | ~np.isfinite(at.position).all(axis=1)).sum())
-        (f, here), (g, there) = standing(ground, before), standing(ground, at)
-        way, part = self.led.way, self.led.part
-        other = np.flatnonzero(way[here, f] != way[there, g])
+        (f, old_side), (g, new_side) = standing(ground, previous_move), standing(ground, at)
+        component, part = self.sides.side_component, self.sides.part
+        other = np.flatnonzero(component[old_side, f] != component[new_side, g])
         own = other[(part[f] == part[g])[other]]
-        own = own[self.led.open[f[own]]]
-        self.changed += [(int(k), int(f[k]), int(g[k])) for k in own if not self.over_another(ground, before, at, k)]
+        own = own[self.sides.open[f[own]]]
+        self.changed += [(int(k), int(f[k]), int(g[k])) for k in own if not self.over_another(ground, previous_move, at, k)]
         over = other[part[f[other]] != part[g[other]]]
         self.over += over.size
         if closely:
             bad = over[
-                ~self.free(before.position[over], facing(ground, before)[over], at.position[over], facing(ground, at)[over])
+                ~self.free(
+                    previous_move.position[over], facing(ground, previous_move)[over], at.position[over], facing(ground, at)[over]
+                )
             ]
-            self.through += [(int(k), int(f[k]), int(g[k])) for k in bad if not self.one_by_one(ground, before, at, k)]
+            self.through += [(int(k), int(f[k]), int(g[k])) for k in bad if not self.one_by_one(ground, previous_move, at, k)]
 
-    def hops(self, ground: MeshGround, before: Move, at: Move, who: int) -> list[Hop]:
+    def hops(self, ground: MeshGround, previous_move: Move, at: Move, who: int) -> list[Hop]:
         """The step once more, with all that it stepped over to."""
-        face, over = int(standing(ground, before)[0][who]), float(before.footing.over[who])
+        face, over = int(standing(ground, previous_move)[0][who]), float(previous_move.footing.over[who])
         reference = Reference(ground)
-        place, wish = before.position[who] - over * reference.normal[face], self.wish[who]
-        again = reference.step(face, place, over, wish, wish, before.up[who], BODY)
+        place, wish = previous_move.position[who] - over * reference.normal[face], self.wish[who]
+        again = reference.step(face, place, over, wish, wish, previous_move.up[who], BODY)
         assert np.allclose(again.position, at.position[who], atol=HAIR) and again.face == standing(ground, at)[0][who]
         return again.hops
 
-    def over_another(self, ground: MeshGround, before: Move, at: Move, who: int) -> bool:
+    def over_another(self, ground: MeshGround, previous_move: Move, at: Move, who: int) -> bool:
         """Whether the way of a step led over another part."""
-        own = self.led.part[standing(ground, before)[0][who]]
-        return any(self.led.part[hop.face] != own for hop in self.hops(ground, before, at, who))
+        own = self.sides.part[standing(ground, previous_move)[0][who]]
+        return any(self.sides.part[hop.face] != own for hop in self.hops(ground, previous_move, at, who))
 
-    def one_by_one(self, ground: MeshGround, before: Move, at: Move, who: int) -> bool:
+    def one_by_one(self, ground: MeshGround, previous_move: Move, at: Move, who: int) -> bool:
         """Whether all ways are free that a step went over to other faces, or round the border from which it did."""
-        for hop in self.hops(ground, before, at, who):
-            start, up, way, end, above = (v[None] for v in (hop.start, hop.up, hop.way, hop.end, hop.above))
-            if not (self.free(start, up, end, above) | self.free(start + way * ROUND, up, end, above))[0]:
+        for hop in self.hops(ground, previous_move, at, who):
+            start, up, displacement, end, above = (v[None] for v in (hop.start, hop.up, hop.direction, hop.end, hop.above))
+            if not (self.free(start, up, end, above) | self.free(start + displacement * ROUND, up, end, above))[0]:
                 return False
         return True
 
     def free(self, start: Floats, up: Floats, end: Floats, above: Floats) -> NDArray[np.bool_]:
         """Whether a way is free from a hair above `start` to a hair above `end`, straight or with one bend."""
         start, end = start + up * HAIR, end + above * HAIR
-        found = ~self.crosses(start, end)
-        way = end - start
-        flat = [way - (way * normal).sum(axis=1)[:, None] * normal for normal in (up, above)]
+        is_free = ~self.crosses(start, end)
+        displacement = end - start
+        flat = [displacement - (displacement * normal).sum(axis=1)[:, None] * normal for normal in (up, above)]
         for bend in BENDS:
             for corner in ((start + end) / 2, start, end, start + flat[0], end - flat[1], start + flat[0] / 2, end - flat[1] / 2):
                 for off in (up, above, up + above):
-                    rows = np.flatnonzero(~found)
-                    there = (corner + off * bend)[rows]
-                    found[rows] = ~self.crosses(start[rows], there) & ~self.crosses(there, end[rows])
-        return found
+                    rows = np.flatnonzero(~is_free)
+                    bend_points = (corner + off * bend)[rows]
+                    is_free[rows] = ~self.crosses(start[rows], bend_points) & ~self.crosses(bend_points, end[rows])
+        return is_free
 
     def crosses(self, start: Floats, end: Floats) -> NDArray[np.bool_]:
         """Whether any face lies between places (Möller, Trumbore, as in `boxes`, but for all faces)."""
         a, b, c = (self.mesh[0][self.mesh[1][:, k]] for k in range(3))
         e1, e2 = b - a, c - a
-        found = np.zeros(len(start), bool)
+        is_crossing = np.zeros(len(start), bool)
         for k, (o, d) in enumerate(zip(start, end - start, strict=True)):
             p = np.cross(d, e2)
             det = (e1 * p).sum(axis=1)
@@ -110,8 +112,8 @@ class Watch:
             s = o - a
             q = np.cross(s, e1)
             u, v, t = (s * p).sum(axis=1) / safe, (q @ d) / safe, (e2 * q).sum(axis=1) / safe
-            found[k] = ((det != 0) & (u >= 0) & (v >= 0) & (u + v <= 1) & (t > 0) & (t < 1)).any()
-        return found
+            is_crossing[k] = ((det != 0) & (u >= 0) & (v >= 0) & (u + v <= 1) & (t > 0) & (t < 1)).any()
+        return is_crossing
 
 
 def standing(ground: MeshGround, at: Move) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
@@ -126,16 +128,16 @@ def facing(ground: MeshGround, at: Move) -> Floats:
 def watched(mesh: Mesh, n: int, steps: int, step: float = STEP, closely: bool = False) -> tuple[Watch, NDArray[np.bool_]]:
     """A crowd's walk, and who has hardly moved in its last `WINDOW` steps."""
     ground, rng = MeshGround({"mesh": mesh}), np.random.default_rng(4)
-    watch, at = Watch(mesh, led(mesh)), crowd(ground, [mesh], n, rng)
-    places = []
+    watch, at = Watch(mesh, find_connectivity(mesh)), crowd(ground, [mesh], n, rng)
+    positions = []
     for _ in range(steps):
         heading = at.heading + np.cross(at.up, at.heading) * rng.normal(0, 0.3, (n, 1))
         heading *= np.where(at.blocked, -step, step)[:, None] / np.linalg.norm(heading, axis=1, keepdims=True)
-        before, at = at, ground.move(at.footing, heading, heading, at.up, BODY)
+        previous_move, at = at, ground.move(at.footing, heading, heading, at.up, BODY)
         watch.wish = heading
-        watch.look(ground, before, at, step, closely)
-        places.append(at.position)
-    last = np.array(places[-WINDOW:])
+        watch.look(ground, previous_move, at, step, closely)
+        positions.append(at.position)
+    last = np.array(positions[-WINDOW:])
     return watch, np.linalg.norm(last.max(axis=0) - last.min(axis=0), axis=1) < 0.02 * step * min(steps, WINDOW)
 
 
@@ -168,13 +170,17 @@ def test_two_thousand_walk_on_meshes_of_ones_own() -> None:
 
 
 def test_the_account_of_sides_knows_sheets_strips_balls_and_walls() -> None:
-    def ways(mesh: Mesh) -> int:
-        return len(np.unique(led(mesh).way))
+    def count_sides(mesh: Mesh) -> int:
+        return len(np.unique(find_connectivity(mesh).side_component))
 
-    assert ways(grid(10.0, 3)) == 2 and ways(shapes().moebius(12, 2)) == 1 and ways(box((0, 0, 0), (1, 1, 1))) == 2
+    assert (
+        count_sides(grid(10.0, 3)) == 2
+        and count_sides(shapes().moebius(12, 2)) == 1
+        and count_sides(box((0, 0, 0), (1, 1, 1))) == 2
+    )
     wall = turned(grid(10.0, 2), (0, 0, 1), 90.0, (0, 5, 0))
-    assert ways(joined([grid(10.0, 2), wall])) == 3  # below, and a corner on each side of the wall
-    assert led(grid(10.0, 3)).open.all() and not led(box((0, 0, 0), (1, 1, 1))).open.any()
+    assert count_sides(joined([grid(10.0, 2), wall])) == 3  # below, and a corner on each side of the wall
+    assert find_connectivity(grid(10.0, 3)).open.all() and not find_connectivity(box((0, 0, 0), (1, 1, 1))).open.any()
 
 
 def test_a_ribbon_that_crosses_itself_is_walked_all_over_on_either_side() -> None:
@@ -196,14 +202,14 @@ def on(ground: MeshGround, x: float) -> Move:
     return ground.move(footing, np.zeros((1, 3)), np.array([[1.0, 0, 0]]), up, BODY)
 
 
-def went(ground: MeshGround, at: Move, x: float, steps: int) -> tuple[Move, Floats]:
-    places = [at.position[0]]
+def walk_straight(ground: MeshGround, at: Move, x: float, steps: int) -> tuple[Move, Floats]:
+    positions = [at.position[0]]
     for _ in range(steps):
         heading = np.array([[np.sign(x), 0.0, 0.0]])
         at = ground.move(at.footing, heading * abs(x), heading, at.up, BODY)
         assert at.travelled[0] <= abs(x) * 1.0001 and not at.blocked.any()
-        places.append(at.position[0])
-    return at, np.array(places)
+        positions.append(at.position[0])
+    return at, np.array(positions)
 
 
 @pytest.mark.parametrize("gap", [0.0, 0.05])
@@ -211,28 +217,28 @@ def went(ground: MeshGround, at: Move, x: float, steps: int) -> tuple[Move, Floa
 @pytest.mark.parametrize("step", [0.1, 3.0])
 def test_stepping_over_takes_the_steps_that_it_takes(rise: float, step: float, gap: float) -> None:
     ground = over(gap, rise)
-    at, places = went(ground, on(ground, -1.0), step, round(4 / step) + 2)
+    at, positions = walk_straight(ground, on(ground, -1.0), step, round(4 / step) + 2)
     assert at.footing.mesh[0] == 1 and at.footing.over[0] == 0 and abs(at.position[0, 1] - rise) < 1e-9
     assert at.position[0, 0] > 2.5 - 2 * abs(rise) - step
-    assert np.linalg.norm(np.diff(places, axis=0), axis=1).max() <= step * 1.01
+    assert np.linalg.norm(np.diff(positions, axis=0), axis=1).max() <= step * 1.01
 
 
 def test_who_stops_half_way_down_hangs_there_and_goes_on_or_back() -> None:
     ground = over(0.0, -1.5)
-    at, _ = went(ground, on(ground, -0.2), 0.5, 2)
+    at, _ = walk_straight(ground, on(ground, -0.2), 0.5, 2)
     assert abs(at.footing.over[0] + 0.8) < 1e-9 and np.allclose(at.position[0], [0, -0.8, 1.3]) and at.footing.mesh[0] == 0
     still = ground.move(at.footing, np.zeros((1, 3)), at.heading, at.up, BODY)
     assert np.allclose(still.position, at.position) and np.allclose(ground.position(still.footing), at.position)
-    down, _ = went(ground, still, 0.5, 3)
+    down, _ = walk_straight(ground, still, 0.5, 3)
     assert down.footing.mesh[0] == 1 and down.position[0, 1] == pytest.approx(-1.5)
-    back, _ = went(ground, still, -0.5, 2)
+    back, _ = walk_straight(ground, still, -0.5, 2)
     assert back.footing.mesh[0] == 0 and np.allclose(back.position[0], [-0.2, 0, 1.3])
 
 
 def test_who_hangs_over_a_border_moves_with_it_and_climbs_back_when_nothing_is_left_to_step_onto() -> None:
     near, far = sheet(20.0, 4, by=(-10.0, 0.0, 0.0)), sheet(20.0, 3, by=(10.0, -1.5, 0.0))
     ground = MovingGround({"near": near, "far": far}, ["near"])
-    at, _ = went(ground, on(ground, -0.2), 0.5, 2)
+    at, _ = walk_straight(ground, on(ground, -0.2), 0.5, 2)
     lifted = (near[0] + np.array([0.0, 5.0, 0.0]), near[1])
     ground.pose({"near": lifted[0]})
     assert np.allclose(ground.position(at.footing), [[0, 4.2, 1.3]])
@@ -241,11 +247,11 @@ def test_who_hangs_over_a_border_moves_with_it_and_climbs_back_when_nothing_is_l
     assert at.footing.over[0] == 0 and np.allclose(at.position[0], [0, 5, 1.3], atol=0.5) and at.position[0, 1] == 5.0
 
 
-def test_footings_over_a_border_are_kept_where_there_are_solids_too() -> None:
+def test_footings_over_a_border_stay_where_there_are_solids_too() -> None:
     footing = Footing.on_faces(np.zeros(3, np.int32), np.arange(3, dtype=np.int32), *np.random.default_rng(1).random((3, 3)))
-    kept = footing.with_places().faces(np.arange(3))
-    assert list(kept.columns) == ["mesh", "face", "b1", "b2", "over"]
-    assert all(np.array_equal(column, footing.columns[name]) for name, column in kept.columns.items())
+    face_footing = footing.with_places().faces(np.arange(3))
+    assert list(face_footing.columns) == ["mesh", "face", "b1", "b2", "over"]
+    assert all(np.array_equal(column, footing.columns[name]) for name, column in face_footing.columns.items())
 
 
 def test_a_box_of_loose_sheets_is_walked_round_its_edges_and_never_into() -> None:
@@ -254,14 +260,14 @@ def test_a_box_of_loose_sheets_is_walked_round_its_edges_and_never_into() -> Non
     corners = corners * 0.995 + corners.mean(axis=1, keepdims=True) * 0.005  # a slit at every edge
     sides = (corners.reshape(-1, 3), np.arange(36).reshape(-1, 3))
     ground, rng = MeshGround({"box": sides}), np.random.default_rng(3)
-    at, met = crowd(ground, [sides], 60, rng), set()
+    at, visits = crowd(ground, [sides], 60, rng), set()
     out = (at.position * facing(ground, at)).sum(axis=1) > 0
     for _ in range(120):
         heading = at.heading + np.cross(at.up, at.heading) * rng.normal(0, 0.3, (60, 1))
         at = ground.move(at.footing, heading, heading, at.up, BODY)
-        met |= set(zip(np.flatnonzero(out), standing(ground, at)[0][out] // 2, strict=True))
+        visits |= set(zip(np.flatnonzero(out), standing(ground, at)[0][out] // 2, strict=True))
         assert np.array_equal((at.position * facing(ground, at)).sum(axis=1) > 0, out)
-    assert len(met) > 3 * out.sum()
+    assert len(visits) > 3 * out.sum()
 
 
 def test_nothing_behind_a_roof_or_a_wall_is_stepped_onto_over_a_border() -> None:

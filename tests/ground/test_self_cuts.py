@@ -20,11 +20,11 @@ def mixed(count: int, seed: int) -> np.ndarray:
 @pytest.mark.parametrize("seed", [1, 2])
 def test_faces_of_all_sizes_are_cut_by_those_that_are_found_among_all_pairs(seed: int, monkeypatch: pytest.MonkeyPatch):
     corners, names = mixed(400, seed), np.arange(1200, dtype=np.int32).reshape(-1, 3)
-    found = self_cuts.cuts(corners, names, np.zeros(400, np.int32), 1e-9)
+    cuts = self_cuts.cuts(corners, names, np.zeros(400, np.int32), 1e-9)
     monkeypatch.setattr(self_cuts, "_near", lambda *_: iter([np.triu_indices(400, 1)]))
     all_of_them = self_cuts.cuts(corners, names, np.zeros(400, np.int32), 1e-9)
-    assert len(found.other) > 400
-    assert np.array_equal(found.first, all_of_them.first) and np.array_equal(found.other, all_of_them.other)
+    assert len(cuts.other) > 400
+    assert np.array_equal(cuts.first, all_of_them.first) and np.array_equal(cuts.other, all_of_them.other)
 
 
 @pytest.mark.parametrize("large", [[[0, 5, 0], [4e6, 5, 3.6e6], [0, 5, 4e6]], [[0, 5, 0], [4e6, 5, 3.6e6], [0, 5, 2]]])

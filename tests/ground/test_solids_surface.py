@@ -13,7 +13,7 @@ from antdsl.ground.solid import Volume
 Pieces = dict[int, tuple[np.ndarray, np.ndarray]]
 
 
-def made(mesh: meshes.Mesh, voxel: float = 1.0) -> Volume:
+def make_solid(mesh: meshes.Mesh, voxel: float = 1.0) -> Volume:
     solid = Volume.from_mesh(*mesh, voxel)
     assert isinstance(solid, Volume)
     return solid
@@ -26,8 +26,8 @@ def joined(pieces: Iterable[tuple[np.ndarray, np.ndarray]]) -> tuple[np.ndarray,
         vertices.append(v)
         faces.append(f + count)
         count += len(v)
-    places, name = np.unique(np.concatenate(vertices), axis=0, return_inverse=True)
-    return places, name.reshape(-1)[np.concatenate(faces)]
+    points, name = np.unique(np.concatenate(vertices), axis=0, return_inverse=True)
+    return points, name.reshape(-1)[np.concatenate(faces)]
 
 
 def unpaired(faces: np.ndarray) -> int:
@@ -49,7 +49,7 @@ def volume_of(vertices: np.ndarray, faces: np.ndarray) -> float:
     ("mesh", "voxel"), [(meshes.box((-20, -20, -20), (20, 20, 20)), 1.0), (meshes.ball(20.0, rings=30), 0.8)]
 )
 def test_a_whole_surface_is_closed_and_seen_from_outside(mesh: meshes.Mesh, voxel: float) -> None:
-    solid = made(mesh, voxel)
+    solid = make_solid(mesh, voxel)
     vertices, faces = joined((v, f) for _, v, f in solid.surface())
     assert unpaired(faces) == 0
     assert abs(volume_of(vertices, faces) / solid.volume() - 1) < 0.01
@@ -57,36 +57,36 @@ def test_a_whole_surface_is_closed_and_seen_from_outside(mesh: meshes.Mesh, voxe
 
 
 def test_only_what_changed_is_made_again_and_fits_the_rest() -> None:
-    solid, rng = made(meshes.box((-20, -20, -20), (20, 20, 20))), np.random.default_rng(2)
+    solid, rng = make_solid(meshes.box((-20, -20, -20), (20, 20, 20))), np.random.default_rng(2)
     pieces: Pieces = {key: (v, f) for key, v, f in solid.surface()}
-    whole = len(pieces)
+    piece_count = len(pieces)
     assert not list(solid.surface())
     for turn in range(4):
         middle = rng.uniform(-12, 12, (1, 3))
         solid.carve(middle + rng.uniform(-6, 6, (15, 3)), rng.uniform(1, 4, 15), np.arange(15))
         changed = {key: (v, f) for key, v, f in solid.surface()}
-        assert 0 < len(changed) < whole
+        assert 0 < len(changed) < piece_count
         pieces |= changed
         vertices, faces = joined(pieces.values())
         assert unpaired(faces) == 0, turn
         assert abs(volume_of(vertices, faces) / solid.volume() - 1) < 0.02
     again: Pieces = {key: (v, f) for key, v, f in solid.surface(changed_only=False)}
     for key, (v, f) in pieces.items():
-        there = again.get(key, (np.empty((0, 3)), np.empty((0, 3), np.int32)))
-        assert np.array_equal(v, there[0]) and np.array_equal(f, there[1])
+        counterpart = again.get(key, (np.empty((0, 3)), np.empty((0, 3), np.int32)))
+        assert np.array_equal(v, counterpart[0]) and np.array_equal(f, counterpart[1])
     assert not [key for key, (_, f) in again.items() if len(f) and key not in pieces]
 
 
 def test_a_brick_that_was_dug_away_is_given_without_faces() -> None:
-    solid = made(meshes.ball(10.0))
-    before = {key for key, _, f in solid.surface() if len(f)}
+    solid = make_solid(meshes.ball(10.0))
+    old_keys = {key for key, _, f in solid.surface() if len(f)}
     solid.carve(np.zeros((1, 3)), np.array([30.0]), np.array([0]))
-    after = {key: len(f) for key, _, f in solid.surface()}
-    assert before and all(after[key] == 0 for key in before)
+    new_counts = {key: len(f) for key, _, f in solid.surface()}
+    assert old_keys and all(new_counts[key] == 0 for key in old_keys)
 
 
 def test_a_restored_solid_has_the_same_surface() -> None:
-    a, b = (made(meshes.ball(12.0)) for _ in range(2))
+    a, b = (make_solid(meshes.ball(12.0)) for _ in range(2))
     a.carve(np.array([[0.0, 12, 0], [3.0, 9, 0]]), np.array([4.0, 3.0]), np.arange(2))
     b.restore(a.state())
     for (key, v, f), (other, w, g) in zip(a.surface(), b.surface(), strict=True):

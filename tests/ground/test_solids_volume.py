@@ -9,23 +9,23 @@ import numpy as np
 import pytest
 
 from antdsl.ground.solid import Unusable, Volume, trilinear
-from antdsl.ground.solid.bricks import WHOLE, filling, mixed
+from antdsl.ground.solid.bricks import MASK64, filling, mixed
 from antdsl.ground.solid_feelers import SolidFeelers
 
 Dig = tuple[np.ndarray, np.ndarray, np.ndarray]
 
 
-def made(mesh: meshes.Mesh, voxel: float = 1.0, **more: Any) -> Volume:
-    solid = Volume.from_mesh(*mesh, voxel, **more)
+def make_solid(mesh: meshes.Mesh, voxel: float = 1.0, **options: Any) -> Volume:
+    solid = Volume.from_mesh(*mesh, voxel, **options)
     assert isinstance(solid, Volume)
     return solid
 
 
 def ball(radius: float = 12.0, voxel: float = 1.0) -> Volume:
-    return made(meshes.ball(radius, rings=24), voxel)
+    return make_solid(meshes.ball(radius, rings=24), voxel)
 
 
-def ways(n: int, seed: int = 1) -> np.ndarray:
+def random_directions(n: int, seed: int = 1) -> np.ndarray:
     v = np.random.default_rng(seed).normal(size=(n, 3))
     return v / np.linalg.norm(v, axis=1)[:, None]
 
@@ -39,7 +39,7 @@ def nodes(solid: Volume) -> np.ndarray:
 def digging(n: int = 60, seed: int = 3) -> Dig:
     """Balls of several sizes around the rim of `ball`, some at one place, some owners several times."""
     rng = np.random.default_rng(seed)
-    centres = ways(n, seed) * rng.uniform(4, 14, (n, 1))
+    centres = random_directions(n, seed) * rng.uniform(4, 14, (n, 1))
     centres[::7] = centres[0]
     radii = rng.uniform(0.5, 5, n)
     radii[::7] = 4.0
@@ -52,27 +52,29 @@ def digging(n: int = 60, seed: int = 3) -> Dig:
 @pytest.mark.parametrize("voxel", [1.0, 0.7, 2.0])
 def test_a_ball_is_as_far_away_as_it_should_be(voxel: float) -> None:
     mesh = meshes.ball(24.0, rings=60)
-    solid, way = made(mesh, voxel), ways(2000)
+    solid, directions = make_solid(mesh, voxel), random_directions(2000)
     inner, outer = solid.band
     for away, rough in ((0.0, 0.0), (0.2 * outer, 0.0), (0.5 * outer, 0.1 * voxel)):
-        error = solid.sample(way * (24 + away)) - np.float32(away)
+        error = solid.sample(directions * (24 + away)) - np.float32(away)
         # Facets lie inside the ball, and the field is straight between nodes.
         assert np.abs(error).max() < 0.02 + voxel * voxel / 18 + rough
-    assert (solid.sample(way * (24 + 0.6 * inner)) < 0.5 * inner).all()
-    assert (solid.sample(way * 3) == np.float32(inner)).all() and (solid.sample(way * 500) == np.float32(outer)).all()
+    assert (solid.sample(directions * (24 + 0.6 * inner)) < 0.5 * inner).all()
+    assert (solid.sample(directions * 3) == np.float32(inner)).all() and (
+        solid.sample(directions * 500) == np.float32(outer)
+    ).all()
     assert abs(solid.volume() / (4 / 3 * np.pi * 24**3) - 1) < 0.01
 
 
 def test_a_box_has_flat_sides_where_they_should_be() -> None:
-    solid = made(meshes.box((-10, -6, -8), (10, 6, 8)))
+    solid = make_solid(meshes.box((-10, -6, -8), (10, 6, 8)))
     rng = np.random.default_rng(0)
     for axis, side in ((0, 10.0), (1, 6.0), (2, 8.0)):
-        places = rng.uniform(-3, 3, (500, 3))
+        points = rng.uniform(-3, 3, (500, 3))
         for away in (-0.5, 0.0, 0.5, 2.0):
-            places[:, axis] = side + away
-            assert np.abs(solid.sample(places) - away).max() < 1e-5
+            points[:, axis] = side + away
+            assert np.abs(solid.sample(points) - away).max() < 1e-5
         # Nodes above the sides know no corner, so the slope is that of the side.
-        slope = solid.gradient(places)
+        slope = solid.gradient(points)
         assert np.abs(slope - np.eye(3)[axis]).max() < 1e-5
     assert abs(solid.volume() / (20 * 12 * 16) - 1) < 0.02
 
@@ -82,24 +84,24 @@ def test_distances_are_those_to_the_mesh() -> None:
 
     vertices, faces = meshes.ball(20.0, rings=9)
     vertices = vertices * [1.0, 0.4, 0.7] + [3.3, 0.1, -7.7]
-    solid = made((vertices, faces))
-    places = nodes(solid)
-    found = solid.sample(places)
-    near = np.flatnonzero((found > solid.band[0]) & (found < solid.band[1]))
-    truth = RayScene(vertices, faces).closest(places[near])[3]
+    solid = make_solid((vertices, faces))
+    points = nodes(solid)
+    distances = solid.sample(points)
+    near = np.flatnonzero((distances > solid.band[0]) & (distances < solid.band[1]))
+    truth = RayScene(vertices, faces).closest(points[near])[3]
     assert near.size > 5000
-    assert np.abs(np.abs(found[near]) - truth)[truth < 1.7].max() < 1e-5
-    assert np.abs(np.abs(found[near]) - truth).max() < 0.2
+    assert np.abs(np.abs(distances[near]) - truth)[truth < 1.7].max() < 1e-5
+    assert np.abs(np.abs(distances[near]) - truth).max() < 0.2
 
 
 def test_the_gradient_is_that_of_the_samples() -> None:
-    solid, places = ball(), ways(400) * np.random.default_rng(4).uniform(11, 14, (400, 1))
+    solid, points = ball(), random_directions(400) * np.random.default_rng(4).uniform(11, 14, (400, 1))
     step = 1e-3
-    slope = solid.gradient(places)
+    slope = solid.gradient(points)
     same_cell = np.ones(400, bool)
     differences = np.empty((400, 3))
     for axis in range(3):
-        ends = [places + way * step * np.eye(3)[axis] for way in (-1, 1)]
+        ends = [points + sign * step * np.eye(3)[axis] for sign in (-1, 1)]
         cells = [np.floor((end - solid.low) / solid.voxel) for end in ends]
         same_cell &= (cells[0] == cells[1]).all(axis=1)
         differences[:, axis] = (solid.sample(ends[1]).astype(float) - solid.sample(ends[0])) / (2 * step)
@@ -112,9 +114,9 @@ def test_the_field_between_nodes_is_a_weighted_mean_of_eight(voxel: float) -> No
     rng, solid = np.random.default_rng(1), ball(voxel=voxel)
     solid.carve(rng.normal(size=(30, 3)) * 6, rng.uniform(1, 4, 30), np.arange(30))
     dense, count = solid.bricks.dense().astype(np.float64), np.array(solid.bricks.nodes)
-    places = rng.uniform(solid.low - 3, solid.high + 3, (20_000, 3))
-    places[1000:3000] = solid.low + np.round((places[1000:3000] - solid.low) / voxel) * voxel  # at nodes
-    at = np.clip((places - solid.bricks.origin) / voxel, 0, count - 1)
+    points = rng.uniform(solid.low - 3, solid.high + 3, (20_000, 3))
+    points[1000:3000] = solid.low + np.round((points[1000:3000] - solid.low) / voxel) * voxel  # at nodes
+    at = np.clip((points - solid.bricks.origin) / voxel, 0, count - 1)
     node = np.minimum(at.astype(int), count - 2)
     part, distance, gradient = at - node, np.zeros(len(at)), np.zeros((3, len(at)))
     for corner in np.ndindex(2, 2, 2):
@@ -123,11 +125,11 @@ def test_the_field_between_nodes_is_a_weighted_mean_of_eight(voxel: float) -> No
         distance += share.prod(axis=1) * value
         for axis in range(3):
             gradient[axis] += (2 * corner[axis] - 1) * np.delete(share, axis, axis=1).prod(axis=1) * value / voxel
-    found, *slope = trilinear.field(solid.bricks, *places.T)
-    assert np.abs(found - distance).max() < 1e-12 and np.array_equal(found.astype(np.float32), solid.sample(places))
+    values, *slope = trilinear.field(solid.bricks, *points.T)
+    assert np.abs(values - distance).max() < 1e-12 and np.array_equal(values.astype(np.float32), solid.sample(points))
     inner = ~(np.abs(at - np.round(at)) < 1e-9).any(axis=1)  # at nodes the slope is that of either side
     assert np.abs(np.stack(slope) - gradient)[:, inner].max() < 1e-10 and inner.sum() > 10_000
-    assert np.abs(trilinear.distance(solid.bricks, *places.T) - distance).max() < 1e-12
+    assert np.abs(trilinear.distance(solid.bricks, *points.T) - distance).max() < 1e-12
     far = np.array([[np.nan] * 3, [-np.inf] * 3, [1e300, 0, 0]])
     rim = solid.bricks.origin + np.array([[0, 0, 0], [0, 0, 0], [count[0] - 1, *(-solid.bricks.origin[1:] / voxel)]]) * voxel
     assert np.array_equal(trilinear.distance(solid.bricks, *far.T), trilinear.distance(solid.bricks, *rim.T))
@@ -138,9 +140,9 @@ def test_the_field_between_nodes_is_a_weighted_mean_of_eight(voxel: float) -> No
 def test_a_cavity_a_shell_turned_inside_out_and_overlapping_balls_have_the_right_inside() -> None:
     v1, f1 = meshes.ball(15.0)
     v2, f2 = meshes.ball(8.0)
-    hollow = made((np.concatenate([v1, v2]), np.concatenate([f1, f2[:, ::-1] + len(v1)])))
-    inward = made((v1, f1[:, ::-1]))
-    twice = made((np.concatenate([v1, v1 + np.array([9.0, 0, 0])]), np.concatenate([f1, f1 + len(v1)])))
+    hollow = make_solid((np.concatenate([v1, v2]), np.concatenate([f1, f2[:, ::-1] + len(v1)])))
+    inward = make_solid((v1, f1[:, ::-1]))
+    twice = make_solid((np.concatenate([v1, v1 + np.array([9.0, 0, 0])]), np.concatenate([f1, f1 + len(v1)])))
     middle = np.array([[0.0, 0, 0], [4.5, 0, 0], [11.5, 0, 0], [20.0, 0, 0]])
     assert list(hollow.sample(middle) < 0) == [False, False, True, False]
     assert list(inward.sample(middle) < 0) == [True, True, True, False]
@@ -150,7 +152,7 @@ def test_a_cavity_a_shell_turned_inside_out_and_overlapping_balls_have_the_right
 def test_faces_wound_in_disorder_make_the_same_solid() -> None:
     vertices, faces = meshes.ball(12.0)
     mixed = np.where((np.arange(len(faces)) % 3 == 0)[:, None], faces[:, ::-1], faces)
-    assert made((vertices, mixed)).volume() == made((vertices, faces)).volume()
+    assert make_solid((vertices, mixed)).volume() == make_solid((vertices, faces)).volume()
 
 
 @pytest.mark.parametrize("voxel", [0.0, -1.0, float("nan"), 1e-6])
@@ -182,25 +184,25 @@ def test_an_open_mesh_is_no_solid() -> None:
 
 def test_what_is_removed_is_what_is_missing_and_what_analysis_says() -> None:
     solid = ball(20.0)
-    before = solid.volume()
+    previous_volume = solid.volume()
     removed = solid.carve(np.zeros((1, 3)), np.array([6.0]), np.array([0]))
-    assert removed[0] == before - solid.volume() == solid.removed
+    assert removed[0] == previous_volume - solid.volume() == solid.removed
     assert abs(removed[0] / (4 / 3 * np.pi * 216) - 1) < 0.01
     assert solid.carve(np.zeros((1, 3)), np.array([5.5]), np.array([0]))[0] == 0
-    way = ways(500)
-    places = way * np.random.default_rng(1).uniform(5, 7, (500, 1))
-    assert np.abs(solid.sample(places) - (6 - np.linalg.norm(places, axis=1))).max() < 0.1
+    directions = random_directions(500)
+    points = directions * np.random.default_rng(1).uniform(5, 7, (500, 1))
+    assert np.abs(solid.sample(points) - (6 - np.linalg.norm(points, axis=1))).max() < 0.1
 
 
 @pytest.mark.parametrize("voxel", [1.0, 0.3, 0.7])
 def test_sums_are_exact_to_the_last_bit(voxel: float) -> None:
     solid = ball(voxel=voxel)
-    before = solid.volume()
+    previous_volume = solid.volume()
     total = 0.0
     for seed in range(4):
         removed = solid.carve(*digging(seed=seed))
         total += removed.sum()
-        assert (removed >= 0).all() and before - solid.volume() == total == solid.removed
+        assert (removed >= 0).all() and previous_volume - solid.volume() == total == solid.removed
 
 
 def test_the_order_of_digging_does_not_matter() -> None:
@@ -218,8 +220,8 @@ def test_digging_in_parts_ends_in_the_same_solid() -> None:
     centres, radii, owners = digging()
     a, b = ball(), ball()
     a.carve(centres, radii, owners)
-    for some in np.array_split(np.random.default_rng(6).permutation(len(radii)), 7):
-        b.carve(centres[some], radii[some], owners[some])
+    for subset in np.array_split(np.random.default_rng(6).permutation(len(radii)), 7):
+        b.carve(centres[subset], radii[subset], owners[subset])
     assert a.digest() == b.digest() and a.volume() == b.volume()
     assert (a.sample(centres) == b.sample(centres)).all()
 
@@ -229,9 +231,9 @@ def test_what_two_dig_at_once_goes_to_the_deeper_and_at_a_tie_to_the_least_owner
     at = np.zeros((3, 3))
     removed = solid.carve(at, np.array([4.0, 4.0, 3.0]), np.array([8, 2, 1]))
     assert removed[0] == 0 and removed[2] == 0 and removed[1] > 200
-    apart = solid.carve(np.array([[12.0, 0, 0], [13.0, 0, 0]]), np.array([3.0, 3.0]), np.array([1, 2]))
+    separate_volumes = solid.carve(np.array([[12.0, 0, 0], [13.0, 0, 0]]), np.array([3.0, 3.0]), np.array([1, 2]))
     alone = ball(20.0).carve(np.array([[12.0, 0, 0]]), np.array([3.0]), np.array([1]))
-    assert 0 < apart[0] < alone[0]
+    assert 0 < separate_volumes[0] < alone[0]
 
 
 @pytest.mark.parametrize("voxel", [1.0, 0.7])
@@ -240,33 +242,35 @@ def test_digging_is_that_of_every_ball_at_every_node(voxel: float) -> None:
     for seed in range(3):
         centres, radii, owners = digging(60, seed)
         centres[5], radii[5] = [37.0 - seed, 3.0, 2.0], 28.0  # a great one, of another kind
-        before, mark, places = solid.bricks.dense().ravel(), solid.bricks.mark, nodes(solid)
+        old_distances, mark, points = solid.bricks.dense().ravel(), solid.bricks.mark, nodes(solid)
         removed = solid.carve(centres, radii, owners)
         order = np.lexsort((radii, centres[:, 2], centres[:, 1], centres[:, 0], owners))
-        values = np.empty((len(order), len(places)), np.float32)
+        values = np.empty((len(order), len(points)), np.float32)
         for row, k in enumerate(order):
-            x, y, z = (places - centres[k]).T
+            x, y, z = (points - centres[k]).T
             brush = (radii[k] - np.sqrt((x * x + y * y) + z * z)).astype(np.float32)
             values[row] = np.minimum(brush, np.float32(solid.bricks.most))
-        after, first = np.maximum(before, values.max(axis=0)), values.argmax(axis=0)
-        assert np.array_equal(solid.bricks.dense().ravel(), after)
-        lost = filling(before, voxel) - filling(after, voxel)
+        new_distances, first = np.maximum(old_distances, values.max(axis=0)), values.argmax(axis=0)
+        assert np.array_equal(solid.bricks.dense().ravel(), new_distances)
+        lost = filling(old_distances, voxel) - filling(new_distances, voxel)
         expected = np.zeros(len(order))
-        expected[order] = np.bincount(first, np.where(after > before, lost, 0), len(order)) * solid.bricks.step_volume
+        expected[order] = (
+            np.bincount(first, np.where(new_distances > old_distances, lost, 0), len(order)) * solid.bricks.step_volume
+        )
         assert np.array_equal(removed, expected) and (removed > 0).sum() > 10
-        i, j, k = np.unravel_index(np.arange(len(places)), solid.bricks.nodes)
+        i, j, k = np.unravel_index(np.arange(len(points)), solid.bricks.nodes)
         brick = ((i >> 4) * solid.bricks.shape[1] + (j >> 4)) * solid.bricks.shape[2] + (k >> 4)
         number = (brick << 12) + ((i & 15) << 8) + ((j & 15) << 4) + (k & 15)
-        change = (mixed(number, after) - mixed(number, before)).sum(dtype=np.uint64)
-        assert solid.bricks.mark == (mark + int(change)) & WHOLE
+        change = (mixed(number, new_distances) - mixed(number, old_distances)).sum(dtype=np.uint64)
+        assert solid.bricks.mark == (mark + int(change)) & MASK64
 
 
 def test_balls_without_sense_and_far_away_dig_nothing_and_great_ones_everything() -> None:
     solid = ball()
-    before = solid.digest()
+    previous_digest = solid.digest()
     centres = np.array([[np.nan, 0, 0], [0.0, 0, 0], [0.0, 0, 0], [900.0, 0, 0], [np.inf, 0, 0]])
     removed = solid.carve(centres, np.array([2.0, np.nan, -1.0, 5.0, 2.0]), np.arange(5))
-    assert not removed.any() and solid.digest() == before
+    assert not removed.any() and solid.digest() == previous_digest
     removed = solid.carve(np.zeros((2, 3)), np.array([1e9, 40.0]), np.array([5, 6]))
     assert removed[1] == 0 or removed[0] == 0
     assert solid.volume() == 0 and removed.sum() == solid.removed
@@ -274,13 +278,13 @@ def test_balls_without_sense_and_far_away_dig_nothing_and_great_ones_everything(
 
 def test_a_great_ball_digs_as_a_small_one() -> None:
     solid = ball(60.0, 2.0)
-    places = nodes(solid)
-    before = solid.sample(places)
+    points = nodes(solid)
+    old_distances = solid.sample(points)
     solid.carve(np.array([[60.0, 0, 0]]), np.array([70.0]), np.array([0]))
-    brush = 70 - np.linalg.norm(places - [60.0, 0, 0], axis=1)
-    want = np.clip(np.maximum(before, brush), *solid.band)
-    assert (before != want).mean() > 0.1
-    assert np.abs(solid.sample(places) - want).max() < 1e-5
+    brush = 70 - np.linalg.norm(points - [60.0, 0, 0], axis=1)
+    want = np.clip(np.maximum(old_distances, brush), *solid.band)
+    assert (old_distances != want).mean() > 0.1
+    assert np.abs(solid.sample(points) - want).max() < 1e-5
 
 
 # ---- keeping
@@ -323,9 +327,9 @@ def test_memory_is_that_of_the_surface() -> None:
 def test_a_ray_without_measure_ends_where_nothing_solid_is_left() -> None:
     """From within reach the same hits to the bit as with a short reach; from far away the one that stands in the way."""
     feelers = SolidFeelers(ball())
-    start, way = 30 * ways(200, 4), -ways(200, 4) + 0.6 * ways(200, 5)
-    way /= np.linalg.norm(way, axis=1)[:, None]
-    short, endless = (feelers.feelers(*start.T, *way.T, reach) for reach in (90.0, 3e38))
+    start, directions = 30 * random_directions(200, 4), -random_directions(200, 4) + 0.6 * random_directions(200, 5)
+    directions /= np.linalg.norm(directions, axis=1)[:, None]
+    short, endless = (feelers.feelers(*start.T, *directions.T, reach) for reach in (90.0, 3e38))
     assert 50 < short.hit.sum() < 200
     for name in ("hit", "t", "nx", "ny", "nz"):
         assert np.array_equal(getattr(short, name), getattr(endless, name))

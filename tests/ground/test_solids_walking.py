@@ -15,14 +15,14 @@ BODY = 5.0
 STEPS = 2000
 
 
-def made(mesh: meshes.Mesh, voxel: float = 1.0) -> Volume:
+def make_solid(mesh: meshes.Mesh, voxel: float = 1.0) -> Volume:
     solid = Volume.from_mesh(*mesh, voxel)
     assert isinstance(solid, Volume)
     return solid
 
 
 def cube() -> Volume:
-    return made(meshes.box((-20, -20, -20), (20, 20, 20)))
+    return make_solid(meshes.box((-20, -20, -20), (20, 20, 20)))
 
 
 def tunnel() -> Volume:
@@ -46,9 +46,9 @@ def unit(v: np.ndarray) -> np.ndarray:
 
 def standing(solid: Volume, points: np.ndarray, up: np.ndarray, seed: int = 3) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Places on the surface, normals and headings of those who found a place."""
-    there = solid.project(points, up, reach=50.0)
-    assert there.found.mean() > 0.9
-    place, normal = there.points[there.found], there.normals[there.found]
+    projection = solid.project(points, up, reach=50.0)
+    assert projection.is_in_reach.mean() > 0.9
+    place, normal = projection.points[projection.is_in_reach], projection.normals[projection.is_in_reach]
     return place, normal, unit(np.cross(normal, np.random.default_rng(seed).normal(size=place.shape)))
 
 
@@ -68,26 +68,26 @@ def wandering(
 
 @pytest.mark.parametrize("shape", ["ball", "cube", "tunnel", "cheese"])
 def test_walkers_stay_on_the_surface_for_thousands_of_steps(shape: str) -> None:
-    ways = unit(np.random.default_rng(1).normal(size=(60, 3)))
+    directions = unit(np.random.default_rng(1).normal(size=(60, 3)))
     if shape == "ball":
-        solid = made(meshes.ball(20.0, rings=24))
-        start = standing(solid, ways * 20, ways)
+        solid = make_solid(meshes.ball(20.0, rings=24))
+        start = standing(solid, directions * 20, directions)
     elif shape == "cube":
         solid = cube()
-        start = standing(solid, ways * 18, ways)
+        start = standing(solid, directions * 18, directions)
     elif shape == "tunnel":
         solid = tunnel()
-        start = standing(solid, ways * [15, 1, 1], ways * [0.01, -1, -1])
+        start = standing(solid, directions * [15, 1, 1], directions * [0.01, -1, -1])
     else:
         solid = cheese()
-        start = standing(solid, ways * 18, ways[::-1])
+        start = standing(solid, directions * 18, directions[::-1])
     stopped = 0
-    for before, moved in wandering(solid, start, STEPS):
+    for previous_position, moved in wandering(solid, start, STEPS):
         assert np.abs(solid.sample(moved.position)).max() <= 1e-4 * BODY
         assert not moved.lost.any()
         assert np.abs((moved.heading * moved.up).sum(axis=1)).max() < 1e-9
         assert np.abs(np.linalg.norm(moved.heading, axis=1) - 1).max() < 1e-9
-        assert np.linalg.norm(moved.position - before, axis=1).max() < 1.35
+        assert np.linalg.norm(moved.position - previous_position, axis=1).max() < 1.35
         stopped += int(moved.blocked.sum())
         assert (moved.blocked | (np.abs(moved.travelled - 1) < 1e-6)).all()
     assert stopped <= STEPS * 60 * (1e-3 if shape == "cheese" else 0)
@@ -113,32 +113,32 @@ def test_who_walks_into_a_hole_goes_through_the_tunnel_and_out() -> None:
     # On the left side above the mouth, heading down to it.
     place, up, head = standing(solid, np.array([[-20.5, 8.0, 0.0]]), np.array([[-1.0, 0, 0]]))
     head = np.array([[0.0, -1.0, 0]])
-    seen = []
+    positions = []
     for _ in range(60):
         moved = move(solid, place, head, head, up, BODY)
         place, up, head = moved.position, moved.up, moved.heading
-        seen.append(place[0])
+        positions.append(place[0])
         assert solid.sample(place)[0] > -1e-4 * BODY
-    inside = [p for p in seen if abs(p[0]) < 18]
+    inside = [p for p in positions if abs(p[0]) < 18]
     assert len(inside) > 25 and all(3.7 < np.hypot(p[1], p[2]) < 4.1 for p in inside)
-    assert max(p[0] for p in seen) > 19.99 and seen[-1][0] > 19.8 and seen[-1][1] > 8, "up the other side"
+    assert max(p[0] for p in positions) > 19.99 and positions[-1][0] > 19.8 and positions[-1][1] > 8, "up the other side"
 
 
-def test_nobody_passes_a_wall_of_less_than_a_voxel() -> None:
+def test_no_agent_passes_a_wall_of_less_than_a_voxel() -> None:
     """Two caves beside each other with little between."""
     solid = cube()
     middle = -0.37  # where nodes are: between nodes such a wall is not seen at all
     solid.carve(np.array([[middle - 6.1, 0, 0], [middle + 6.1, 0, 0]]), np.array([5.8, 5.8]), np.array([0, 1]))
     wall = np.stack(np.meshgrid([middle], np.linspace(-0.5, 0.5, 9), np.linspace(-0.5, 0.5, 9)), axis=-1).reshape(-1, 3)
     assert (solid.sample(wall) < 0).all() and (solid.sample(wall) > -0.5).all()
-    ways = unit(np.random.default_rng(4).normal(size=(60, 3)))
-    start = standing(solid, ways * 3 - [6.4, 0, 0], -ways)
+    directions = unit(np.random.default_rng(4).normal(size=(60, 3)))
+    start = standing(solid, directions * 3 - [6.4, 0, 0], -directions)
     for _, moved in wandering(solid, start, STEPS // 4, turn=0.3):
         assert (moved.position[:, 0] < middle).all()
 
 
 def test_a_step_keeps_its_length_and_is_laid_into_the_surface() -> None:
-    solid = made(meshes.ball(60.0, rings=60))
+    solid = make_solid(meshes.ball(60.0, rings=60))
     place, up, head = standing(solid, np.array([[0.0, 60, 0]] * 5), np.array([[0.0, 1, 0]] * 5))
     wish = head * 2.0 + up * np.array([[0.0], [0.5], [-0.5], [2.0], [50.0]])
     wish[3] = np.nan
@@ -150,9 +150,9 @@ def test_a_step_keeps_its_length_and_is_laid_into_the_surface() -> None:
 
 
 def test_who_loses_the_ground_goes_to_what_is_left() -> None:
-    solid = made(meshes.ball(20.0, rings=24))
-    ways = unit(np.random.default_rng(1).normal(size=(40, 3)))
-    place, up, head = standing(solid, ways * 20, ways)
+    solid = make_solid(meshes.ball(20.0, rings=24))
+    directions = unit(np.random.default_rng(1).normal(size=(40, 3)))
+    place, up, head = standing(solid, directions * 20, directions)
     solid.carve(place[:20], np.full(20, 6.0), np.arange(20))
     assert (solid.sample(place[:20]) > 3).all()
     for step in (0.0, 1.0):
@@ -165,10 +165,10 @@ def test_who_loses_the_ground_goes_to_what_is_left() -> None:
 
 def test_one_agent_moves_as_it_does_among_many() -> None:
     solid = cheese()
-    ways = unit(np.random.default_rng(1).normal(size=(50, 3)))
-    place, up, head = standing(solid, ways * 15, ways[::-1])
+    directions = unit(np.random.default_rng(1).normal(size=(50, 3)))
+    place, up, head = standing(solid, directions * 15, directions[::-1])
     everyone = move(solid, place, head, head, up, BODY)
-    for some in (slice(7, 8), slice(20, 33), slice(None, None, -1)):
-        few = move(solid, place[some], head[some], head[some], up[some], BODY)
+    for subset in (slice(7, 8), slice(20, 33), slice(None, None, -1)):
+        few = move(solid, place[subset], head[subset], head[subset], up[subset], BODY)
         for all_, column in zip(everyone.columns(), few.columns(), strict=True):
-            assert np.array_equal(all_[some], column)
+            assert np.array_equal(all_[subset], column)

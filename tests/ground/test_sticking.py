@@ -23,8 +23,8 @@ UP = np.array([[0.0, 1.0, 0.0]])
 
 
 def stand(ground: MeshGround, at: tuple[float, float, float]):
-    footing, found = ground.place(np.array([at]), UP[0])
-    assert found.all()
+    footing, is_placed = ground.place(np.array([at]), UP[0])
+    assert is_placed.all()
     return footing
 
 
@@ -69,7 +69,7 @@ def test_it_steps_through_what_is_thin_where_walkers_do_not() -> None:
     mesh = SHAPES.can()
     rays, triangles = (long_walk("can", mesh, 300, 60, by_rays) for by_rays in (True, False))
     assert rays.through > 30 and triangles.through == 0
-    assert rays.seen.jump > 2 * triangles.seen.jump and REACH * BODY > SHAPES.TIN
+    assert rays.measures.jump > 2 * triangles.measures.jump and REACH * BODY > SHAPES.TIN
 
 
 def test_results_are_the_same_bits_for_any_threads() -> None:
@@ -125,8 +125,8 @@ def test_a_scene_asks_for_it(tmp_path: Path) -> None:
             step(world)
         ends[how] = np.concatenate([p.position for p in world.populations.values()])
         assert np.isfinite(ends[how]).all()
-    apart = np.linalg.norm(ends["rays"] - ends["triangles"], axis=1)
-    assert apart.max() > 0 and np.median(apart) < 2.0
+    distances = np.linalg.norm(ends["rays"] - ends["triangles"], axis=1)
+    assert distances.max() > 0 and np.median(distances) < 2.0
 
 
 def test_another_word_is_an_error(tmp_path: Path) -> None:

@@ -54,7 +54,7 @@ GROUNDS = {
     "a wall on a floor": forked,
     "loose sheets": sheets,
     "a hose through itself": lambda: {"eight": shapes().eight(), "floor": grid(60, 9)},
-    **{name: (lambda made=made: {"worse": made()}) for name, made in WORSE.items()},
+    **{name: (lambda made=build: {"worse": made()}) for name, build in WORSE.items()},
     "boulders": lambda: {"hills": terrain(100, 30), "a": ball(14, (8, 4, 3), 9), "b": box((-30, -20, -30), (-18, 15, -14))},
     "tiles and a fan of slivers": lambda: {
         "left": grid(30, 6),
@@ -71,14 +71,18 @@ def crowd(ground: MeshGround, rng: np.random.Generator, n: int = N) -> Move:
     return ground.move(footing, np.zeros((n, 3)), rng.normal(size=(n, 3)), up, 4.0)
 
 
-def differing(ground: MeshGround, before: Move, wish: Floats, heading: Floats, body: Floats, straight: bool = False) -> int:
+def differing(
+    ground: MeshGround, previous_move: Move, wish: Floats, heading: Floats, body: Floats, straight: bool = False
+) -> int:
     """How many agents a step takes elsewhere than `walked` says; and one that is turned by a hair, too, else it is rounding that
     takes them past a corner on another side."""
     rows, rng, reference = np.arange(len(wish)), np.random.default_rng(1), Reference(ground)
     for hair in (0.0, 1e-6, 1e-6):
-        turned = wish + np.cross(before.up, wish) * hair * rng.normal(size=(len(wish), 1))
-        found = ground.move(before.footing, turned, heading, before.up, body, straight=straight)
-        rows = rows[[not _same(reference, ground, before, found, turned, heading, body, straight, int(k)) for k in rows]]
+        turned = wish + np.cross(previous_move.up, wish) * hair * rng.normal(size=(len(wish), 1))
+        next_move = ground.move(previous_move.footing, turned, heading, previous_move.up, body, straight=straight)
+        rows = rows[
+            [not _same(reference, ground, previous_move, next_move, turned, heading, body, straight, int(k)) for k in rows]
+        ]
         if not rows.size:
             break
     return len(rows)
@@ -87,8 +91,8 @@ def differing(ground: MeshGround, before: Move, wish: Floats, heading: Floats, b
 def _same(
     reference: Reference,
     ground: MeshGround,
-    before: Move,
-    found: Move,
+    previous_move: Move,
+    next_move: Move,
     wish: Floats,
     heading: Floats,
     body: Floats,
@@ -96,15 +100,15 @@ def _same(
     k: int,
 ) -> bool:
     near = 1e-7 * ground.extent
-    face, over = int(ground.on_faces(before.footing)[0][k]), float(before.footing.over[k])
-    place = before.position[k] - over * reference.normal[face]
-    step = reference.step(face, place, over, wish[k], heading[k], before.up[k], float(body[k]), straight)
-    same = found.blocked[k] == step.blocked and abs(found.travelled[k] - step.travelled) <= near
-    for one, other in ((found.position, step.position), (found.up, step.up), (found.heading, step.heading)):
+    face, over = int(ground.on_faces(previous_move.footing)[0][k]), float(previous_move.footing.over[k])
+    place = previous_move.position[k] - over * reference.normal[face]
+    step = reference.step(face, place, over, wish[k], heading[k], previous_move.up[k], float(body[k]), straight)
+    same = next_move.blocked[k] == step.blocked and abs(next_move.travelled[k] - step.travelled) <= near
+    for one, other in ((next_move.position, step.position), (next_move.up, step.up), (next_move.heading, step.heading)):
         same = same and np.abs(one[k] - other).max() <= max(near, 1e-6)
     if step.travelled > near:  # in a corner the last border decides, and rounding which that is
-        same = same and np.abs(found.direction[k] - step.direction).max() <= 1e-6
-    return bool(same and abs(found.footing.over[k] - step.over) <= near)
+        same = same and np.abs(next_move.direction[k] - step.direction).max() <= 1e-6
+    return bool(same and abs(next_move.footing.over[k] - step.over) <= near)
 
 
 @pytest.mark.parametrize("name", sampled(GROUNDS, GROUNDS.keys() - {"book", "bows"}))
@@ -158,7 +162,7 @@ def test_a_corner_of_many_faces_is_left() -> None:
     assert differing(ground, at, wish, at.heading, np.full(FEW, 4.0)) <= 2
 
 
-def test_odd_wishes_count_as_none_and_nobody_leaves_nowhere() -> None:
+def test_odd_wishes_count_as_none_and_lost_agents_stay_lost() -> None:
     ground, rng = MeshGround(GROUNDS["boulders"]()), np.random.default_rng(6)
     at = crowd(ground, rng)
     values = np.array([0.0, -0.0, np.nan, np.inf, -np.inf, 1e-160, 1.0, 30.0])
@@ -172,18 +176,18 @@ def test_odd_wishes_count_as_none_and_nobody_leaves_nowhere() -> None:
         np.where(rng.random(N) < 0.2, 1.0, at.footing.b2),
     )
     lost = (footing.mesh < 0) | (footing.face < 0) | np.isnan(footing.b1)
-    found = ground.move(footing, wish, heading, up, 4.0)
-    assert np.array_equal(found.lost, lost) and 10 < lost.sum() < N // 4
-    assert (found.footing.mesh[lost] == -1).all() and (found.footing.face[lost] == -1).all()
-    assert not found.position[lost].any() and not found.travelled[lost].any() and not found.blocked[lost].any()
-    for one, other in ((found.up, up), (found.heading, heading), (found.direction, heading)):
+    next_move = ground.move(footing, wish, heading, up, 4.0)
+    assert np.array_equal(next_move.lost, lost) and 10 < lost.sum() < N // 4
+    assert (next_move.footing.mesh[lost] == -1).all() and (next_move.footing.face[lost] == -1).all()
+    assert not next_move.position[lost].any() and not next_move.travelled[lost].any() and not next_move.blocked[lost].any()
+    for one, other in ((next_move.up, up), (next_move.heading, heading), (next_move.direction, heading)):
         assert np.array_equal(one[lost], other[lost], equal_nan=True)
     sound = ~lost & np.isfinite(up).all(axis=1)
-    for column in found.columns():
+    for column in next_move.columns():
         assert np.isfinite(column[sound]).all()
     odd = ~np.isfinite(wish).all(axis=1) & sound
     still = ground.move(footing, np.zeros((N, 3)), heading, up, 4.0)
-    assert np.array_equal(found.position[odd], still.position[odd]) and not found.travelled[odd].any()
+    assert np.array_equal(next_move.position[odd], still.position[odd]) and not next_move.travelled[odd].any()
     bare = ground.move(footing, np.full((N, 3), np.inf), np.full((N, 3), np.nan), np.where(lost[:, None], 1.0, at.up), 1e300)
     assert np.isfinite(bare.heading[~lost]).all() and not bare.travelled.any()
 
@@ -230,7 +234,7 @@ def test_finer_distances_of_an_obstacle_are_still_below_the_true_ones() -> None:
     positions = (
         one[np.random.default_rng(11).integers(0, len(one), 3000)] * 1.01 + np.random.default_rng(12).normal(size=(3000, 3)) * 2
     )
-    coarse = np.concatenate([scene.clearance(*some_.T) for some_ in np.split(positions, 6)])
+    coarse = np.concatenate([scene.clearance(*chunk.T) for chunk in np.split(positions, 6)])
     fine = scene.clearance(*positions.T)
     distance = scene.closest(positions)[3]
     assert (fine <= distance).all() and (fine >= coarse).all() and (fine > coarse).mean() > 0.2
@@ -257,8 +261,8 @@ def test_places_and_sides_of_footings_are_those_of_their_corners(name: str) -> N
     with np.errstate(invalid="ignore"):
         place = (a + footing.b1[:, None] * (b - a)) + footing.b2[:, None] * (c - a)
         expected = np.where(known[:, None], place + footing.over[:, None] * table.normal[:, face].T, 0.0)
-    found, unknown = ground.position(footing), np.isnan(expected)
-    assert (found.view(np.int64) == expected.view(np.int64))[~unknown].all() and np.isnan(found[unknown]).all()
+    positions, unknown = ground.position(footing), np.isnan(expected)
+    assert (positions.view(np.int64) == expected.view(np.int64))[~unknown].all() and np.isnan(positions[unknown]).all()
     most = np.abs(table.normal[:, face]).argmax(axis=0)
     sides = 2 * most + (table.normal[most, face] < 0)
     assert np.array_equal(ground.sides(footing, 2), np.where(known, sides, 0))

@@ -48,11 +48,11 @@ def real(path: Path) -> Cut:
     tokens = pair(scanned)
     assert tokens is not None
     kinds = {"text": "string", "number": "number", "sign": "operator", "open": "operator", "close": "operator", "word": "name"}
-    found = [(t.start, t.end, kinds[t.kind]) for t in scanned.tokens if t.kind in kinds]
-    found += [(t.start, t.end, "operator") for t in scanned.tokens if t.kind == "end" and scanned.clean[t.start] == ";"]
-    found += [(comment.span.start, comment.span.end, "comment") for comment in scanned.comments]
+    spans = [(t.start, t.end, kinds[t.kind]) for t in scanned.tokens if t.kind in kinds]
+    spans += [(t.start, t.end, "operator") for t in scanned.tokens if t.kind == "end" and scanned.clean[t.start] == ";"]
+    spans += [(comment.span.start, comment.span.end, "comment") for comment in scanned.comments]
     keywords = set(keyword_places(scanned, cut(scanned, tokens), "top"))
-    return sorted((start, end, "keyword" if start in keywords else kind) for start, end, kind in found)
+    return sorted((start, end, "keyword" if start in keywords else kind) for start, end, kind in spans)
 
 
 def keyword_places(scanned: Scan, lines: list[Line], rule: str) -> Iterator[int]:
@@ -76,24 +76,24 @@ def keyword_places(scanned: Scan, lines: list[Line], rule: str) -> Iterator[int]
 
 def compare(path: Path, coloured: Cut) -> None:
     text = path.read_text(encoding="utf-8")
-    seen: list[str | None] = [None] * len(text)
+    kinds: list[str | None] = [None] * len(text)
     for start, end, kind in coloured:
-        seen[start:end] = [SEEN_AS[kind]] * (end - start)
+        kinds[start:end] = [SEEN_AS[kind]] * (end - start)
     for start, end, kind in real(path):
-        different = {seen[at] for at in range(start, end) if kind == "string" or kind == "comment" or not text[at].isspace()} - {
+        different = {kinds[at] for at in range(start, end) if kind == "string" or kind == "comment" or not text[at].isspace()} - {
             kind
         }
         assert not different, f"{Source(path.name, text).line_column(start)}: `{text[start:end]}` is a {kind}, not {different}"
     real_places = {at for start, end, _ in real(path) for at in range(start, end)}
-    assert not [at for at, kind in enumerate(seen) if kind is not None and at not in real_places and not text[at].isspace()]
+    assert not [at for at, kind in enumerate(kinds) if kind is not None and at not in real_places and not text[at].isspace()]
 
 
 def test_the_real_lexer_tells_keywords_from_names() -> None:
     path = ROOT / "examples" / "foraging" / "forager.ant"
     text = path.read_text(encoding="utf-8")
-    found = {(text[start:end], kind) for start, end, kind in real(path)}
-    assert {("when", "keyword"), ("state", "keyword"), ("state", "name"), ("30 mm/s", "number"), ("->", "operator")} <= found
-    assert ("meal", "keyword") not in found and ("wander", "keyword") not in found
+    words = {(text[start:end], kind) for start, end, kind in real(path)}
+    assert {("when", "keyword"), ("state", "keyword"), ("state", "name"), ("30 mm/s", "number"), ("->", "operator")} <= words
+    assert ("meal", "keyword") not in words and ("wander", "keyword") not in words
 
 
 @pytest.mark.parametrize("path", TEXTS, ids=lambda p: str(p.relative_to(ROOT)))
@@ -102,9 +102,9 @@ def test_pygments_sees_what_the_lexer_sees(path: Path) -> None:
 
     names = {token_type(name): name for name in reversed(CLASSES)}
     lexer = AntLexer(stripnl=False, ensurenl=False)
-    found = list(lexer.get_tokens_unprocessed(path.read_text(encoding="utf-8")))
-    assert "".join(value for _, _, value in found) == path.read_text(encoding="utf-8")
-    compare(path, [(at, at + len(value), names[kind]) for at, kind, value in found if value.strip() and kind in names])
+    tokens = list(lexer.get_tokens_unprocessed(path.read_text(encoding="utf-8")))
+    assert "".join(value for _, _, value in tokens) == path.read_text(encoding="utf-8")
+    compare(path, [(at, at + len(value), names[kind]) for at, kind, value in tokens if value.strip() and kind in names])
 
 
 @pytest.mark.parametrize("path", TEXTS, ids=lambda p: str(p.relative_to(ROOT)))
@@ -112,7 +112,7 @@ def test_textmate_sees_what_the_lexer_sees(path: Path) -> None:
     onigurumacffi = pytest.importorskip("onigurumacffi", reason="the package `onigurumacffi` (extra `test`) is not installed")
     compiled = [(onigurumacffi.compile(rule["match"]), rule) for rule in json.loads(grammar_text())["patterns"]]
     names = {scope(name): name for name in reversed(CLASSES)}
-    found: Cut = []
+    spans: Cut = []
     begin = 0
     for line in path.read_text(encoding="utf-8").split("\n"):
         at = 0
@@ -128,10 +128,10 @@ def test_textmate_sees_what_the_lexer_sees(path: Path) -> None:
             for number, group in groups.items():
                 start, end = match.span(int(number))
                 if start >= 0:
-                    found.append((begin + start, begin + end, names[group["name"]]))
+                    spans.append((begin + start, begin + end, names[group["name"]]))
             at = match.end()
         begin += len(line) + 1
-    compare(path, found)
+    compare(path, spans)
 
 
 NODE = """
@@ -184,13 +184,13 @@ def test_vs_code_sees_what_the_lexer_sees(tmp_path: Path) -> None:
     (tmp_path / "colours.js").write_text(NODE)
     grammar = EXTENSION / "syntaxes" / "antdsl.tmLanguage.json"
     command = [program, "colours.js", str(grammar), SCOPE, *map(str, TEXTS)]
-    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=120)
-    assert done.returncode == 0, done.stderr
+    result = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=120)
+    assert result.returncode == 0, result.stderr
     names = {scope(name): name for name in reversed(CLASSES)}
-    found = json.loads(done.stdout)
+    tokens = json.loads(result.stdout)
     for path in TEXTS:
         assert max(path.read_text(encoding="utf-8")) < "\U00010000"  # so that places are the same in UTF-16
-        compare(path, [(start, end, names[kind]) for start, end, kind in found[str(path)]])
+        compare(path, [(start, end, names[kind]) for start, end, kind in tokens[str(path)]])
 
 
 # --- the files that ship ---------------------------------------------------------------------------------------------
@@ -215,8 +215,8 @@ def test_every_word_of_the_grammar_has_a_colour() -> None:
             kinds |= {str(kind) for _, kind, value in AntLexer().get_tokens_unprocessed(text) if value == word}
         assert kinds & {"Token.Keyword", "Token.Keyword.Declaration", "Token.Operator.Word"}, word
     for unit in UNITS:
-        found = list(AntLexer().get_tokens_unprocessed(f"3 {unit}"))
-        assert [str(kind) for _, kind, _ in found] == ["Token.Literal.Number", "Token.Keyword.Type"], unit
+        tokens = list(AntLexer().get_tokens_unprocessed(f"3 {unit}"))
+        assert [str(kind) for _, kind, _ in tokens] == ["Token.Literal.Number", "Token.Keyword.Type"], unit
 
 
 def test_every_pattern_is_of_use() -> None:
@@ -286,18 +286,18 @@ def test_the_extension_packs(tmp_path: Path) -> None:
     shutil.copytree(EXTENSION, copy, symlinks=True)
     packer = copy / "node_modules" / "@vscode" / "vsce" / "vsce"
     words = ["package", "--allow-missing-repository", "--skip-license", "--out", "antdsl.vsix"]
-    done = subprocess.run([program, str(packer), *words], cwd=copy, capture_output=True, text=True, timeout=300)
-    assert done.returncode == 0, done.stdout + done.stderr
+    result = subprocess.run([program, str(packer), *words], cwd=copy, capture_output=True, text=True, timeout=300)
+    assert result.returncode == 0, result.stdout + result.stderr
     from zipfile import ZipFile
 
     names = set(ZipFile(copy / "antdsl.vsix").namelist())
-    wanted = (
+    expected_files = (
         "extension.js",
         "package.json",
         "syntaxes/antdsl.tmLanguage.json",
         "snippets/antdsl.json",
         "language-configuration.json",
     )
-    assert {f"extension/{name}" for name in wanted} <= names
+    assert {f"extension/{name}" for name in expected_files} <= names
     assert "extension/node_modules/vscode-languageclient/node.js" in names
     assert not [name for name in names if "vscode-textmate" in name or "@vscode/vsce" in name]

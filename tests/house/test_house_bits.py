@@ -58,46 +58,46 @@ ALLOWED = {
 }
 
 
-def files(room: str) -> list[Path]:
+def files(subpackage: str) -> list[Path]:
     """The files of a room; a file is its own."""
-    path = PACKAGE / room
+    path = PACKAGE / subpackage
     return [path] if path.is_file() else sorted(path.rglob("*.py"))
 
 
 def used(path: Path) -> dict[str, int]:
     """What a file uses of these, with the first line of each."""
-    found: dict[str, int] = {}
+    uses: dict[str, int] = {}
     for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
         if isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name) and node.value.id in ("np", "numpy", "math"):
             if node.attr in FUNCTIONS:
-                found.setdefault(node.attr, node.lineno)
+                uses.setdefault(node.attr, node.lineno)
         elif isinstance(node, ast.BinOp | ast.AugAssign) and isinstance(node.op, ast.MatMult):
-            found.setdefault("@", node.lineno)
+            uses.setdefault("@", node.lineno)
         elif isinstance(node, ast.Import | ast.ImportFrom):
             names = [alias.name for alias in node.names] if isinstance(node, ast.Import) else [node.module or ""]
             for name in names:
                 if name.split(".")[0] in LIBRARIES:
-                    found.setdefault(name.split(".")[0], node.lineno)
+                    uses.setdefault(name.split(".")[0], node.lineno)
             if isinstance(node, ast.ImportFrom) and node.module in ("math", "numpy"):
                 for alias in node.names:
                     if alias.name in FUNCTIONS:
-                        found.setdefault(alias.name, node.lineno)
+                        uses.setdefault(alias.name, node.lineno)
         elif isinstance(node, ast.keyword) and node.arg == "fastmath":
-            found.setdefault("fastmath", node.value.lineno)
-    return found
+            uses.setdefault("fastmath", node.value.lineno)
+    return uses
 
 
 def test_states_are_made_of_what_is_the_same_everywhere() -> None:
-    told, exempt = [], set()
-    for room in (*ROOMS, *(f"bodies/agents/{name}.py" for name in POSING)):
-        for path in files(room):
+    messages, exempt = [], set()
+    for subpackage in (*ROOMS, *(f"bodies/agents/{name}.py" for name in POSING)):
+        for path in files(subpackage):
             name = str(path.relative_to(PACKAGE))
             for word, line in used(path).items():
                 if word in ALLOWED.get(name, {}):
                     exempt.add((name, word))
                 else:
-                    told.append(f"antdsl/{name}:{line} uses {word}: take antdsl.numerics.elementary or write the sum out")
-    assert not told, "\n".join(told)
+                    messages.append(f"antdsl/{name}:{line} uses {word}: take antdsl.numerics.elementary or write the sum out")
+    assert not messages, "\n".join(messages)
     stale = {(name, word) for name, words in ALLOWED.items() for word in words} - exempt
     assert not stale, f"nothing uses {sorted(stale)} any more"
 

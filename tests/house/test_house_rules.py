@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 from conftest import LONGEST
-from house_counts import places
+from house_counts import find_places
 
 from antdsl.bootstrap import QUICK
 from antdsl.diagnostics.codes import CODES
@@ -38,10 +38,10 @@ FORBIDDEN_ATTRIBUTES = frozenset(
 )
 FORBIDDEN_NAMES = frozenset(["utils", "util", "helpers", "common", "base", "manager", "misc"])
 HEAVY = frozenset(["open3d", "pxr", "scipy", "skimage", "trimesh", "mapbox_earcut", "PIL", "imageio_ffmpeg", "graphlay"])
-OPEN3D_DOOR = PACKAGE / "casting" / "open3d_module.py"
+OPEN3D_MODULE = PACKAGE / "casting" / "open3d_module.py"
 
 
-def room(path: Path) -> str:
+def subpackage_of(path: Path) -> str:
     parts = path.relative_to(PACKAGE).parts
     return parts[0].removesuffix(".py")
 
@@ -66,22 +66,22 @@ def imports(path: Path) -> list[tuple[str, int]]:
         if isinstance(node, ast.If) and "TYPE_CHECKING" in ast.unparse(node.test)
         for inner in ast.walk(node)
     }
-    found: list[tuple[str, int]] = []
+    modules: list[tuple[str, int]] = []
     for node in nodes(path):
         if id(node) in hidden:
             continue
         if isinstance(node, ast.Import):
-            found += [(alias.name, node.lineno) for alias in node.names]
+            modules += [(alias.name, node.lineno) for alias in node.names]
         elif isinstance(node, ast.ImportFrom) and node.module:
             names = [f"{node.module}.{alias.name}" for alias in node.names] if node.module == "antdsl" else [node.module]
-            found += [(name, node.lineno) for name in names]
-    return found
+            modules += [(name, node.lineno) for name in names]
+    return modules
 
 
 def test_rooms_import_lower_rooms_only() -> None:
     offenders = []
     for path in FILES:
-        own = room(path)
+        own = subpackage_of(path)
         assert own in ROOMS, f"{own} has no place among the rooms"
         for name, line in imports(path):
             if name.split(".")[0] != "antdsl" or name == "antdsl":
@@ -101,7 +101,7 @@ def test_no_file_runs_text_or_reads_what_could() -> None:
         for name, line in imports(path):
             if name.split(".")[0] in FORBIDDEN_MODULES:
                 offenders.append(f"{path}:{line} imports {name}")
-            if name.split(".")[0] == "open3d" and path != OPEN3D_DOOR:
+            if name.split(".")[0] == "open3d" and path != OPEN3D_MODULE:
                 offenders.append(f"{path}:{line}: Open3D has one door")
         for node in nodes(path):
             if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id in FORBIDDEN_CALLS:
@@ -209,7 +209,7 @@ def test_files_are_short_named_for_what_they_do_and_say_what_they_are() -> None:
 def test_heavy_packages_are_imported_late_below_the_pictures() -> None:
     """`check` and `--help` never wait for them: they are imported inside functions wherever checking comes by."""
     for path in FILES:
-        if room(path) in ("numerics", "casting", "ground", "senses", "fields", "runtime", "reload", "bodies", "outputs"):
+        if subpackage_of(path) in ("numerics", "casting", "ground", "senses", "fields", "runtime", "reload", "bodies", "outputs"):
             continue
         for node in parsed(path).body:
             if isinstance(node, ast.Import | ast.ImportFrom):
@@ -244,7 +244,7 @@ def test_foreign_formats_are_read_in_the_process_of_the_reader_only() -> None:
 
 def test_the_plan_and_what_is_below_never_see_numpy() -> None:
     for path in FILES:
-        if room(path) in ("source", "diagnostics", "limits", "resources", "syntax", "program", "plan", "passes"):
+        if subpackage_of(path) in ("source", "diagnostics", "limits", "resources", "syntax", "program", "plan", "passes"):
             for name, line in imports(path):
                 assert name.split(".")[0] != "numpy", f"{path}:{line}"
 
@@ -255,8 +255,8 @@ def test_text_with_words_that_do_not_belong_is_not_shipped() -> None:
     outside = re.compile("/" + "work/|" + "shared/" + "(design|meshes|seeds)|\\bTO" + "DO\\b|\\bFIX" + "ME\\b")
     texts = [path for path in texts if "node_modules" not in path.parts]  # others' words, beside the extension for VS Code
     for path in [*texts, ROOT / "README.md", ROOT / "CONTRIBUTING.md", ROOT / "CHANGELOG.md", ROOT / "pyproject.toml"]:
-        found = outside.search(path.read_text(encoding="utf-8"))
-        assert not found, f"{path} has {found[0]!r}"
+        match = outside.search(path.read_text(encoding="utf-8"))
+        assert not match, f"{path} has {match[0]!r}"
 
 
 def test_codes_are_kebab_case_and_given_once() -> None:
@@ -335,4 +335,4 @@ def test_scenes_of_the_examples_check_clean(path: Path) -> None:
 
 
 def test_no_modules_import_each_other_in_a_circle() -> None:
-    assert not places(ROOT)["circles of modules"]
+    assert not find_places(ROOT)["circles of modules"]

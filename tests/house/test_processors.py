@@ -18,7 +18,7 @@ SCENES = (
     "flow/scene", "foraging/scene", "foraging_study/default", "minimal/scene", "moods/scene", "roaches/scene",
     "thesis/tunnel_and_can", "torture/scene", "tunnel/led", "tunnel/scene", "walker/scene", "worth/scene",
 )  # fmt: skip
-SOME = ("moods/scene",)
+SAMPLE_SCENES = ("moods/scene",)
 # What NumPy chooses between at run time, libm's versions with AVX2 and FMA, and BLAS for the oldest processor that it knows.
 WITHOUT = {
     "NPY_DISABLE_CPU_FEATURES": "X86_V3 X86_V4 AVX512_ICL AVX512_SPR",
@@ -34,40 +34,43 @@ def disabled() -> str:
     return " ".join(__cpu_dispatch__)
 
 
-def hashes(scenes: tuple[str, ...], frames: int, most: int, settings: dict[str, str], before: tuple[str, ...] = ()) -> str:
+def hashes(
+    scenes: tuple[str, ...], frames: int, most: int, settings: dict[str, str], command_prefix: tuple[str, ...] = ()
+) -> str:
     clean = {k: v for k, v in child_environment().items() if not k.startswith(("NPY_", "ANTDSL_", "GLIBC_", "OPENBLAS_"))}
     paths = [str(ROOT / "examples" / f"{scene}.yaml") for scene in scenes]
-    made = subprocess.run(
-        [*before, sys.executable, str(ROOT / "tests" / "state_hashes.py"), "--frames", str(frames), "--most", str(most), *paths],
+    process = subprocess.run(
+        [*command_prefix, sys.executable, str(ROOT / "tests" / "state_hashes.py"), "--frames", str(frames),
+         "--most", str(most), *paths],
         env={**clean, **settings}, capture_output=True, text=True,
     )  # fmt: skip
-    assert made.returncode == 0, made.stderr[-3000:]
-    return made.stdout
+    assert process.returncode == 0, process.stderr[-3000:]
+    return process.stdout
 
 
 @cache
-def here(scenes: tuple[str, ...], frames: int, most: int) -> str:
-    found = hashes(scenes, frames, most, {})
-    assert len(found.splitlines()) == len(scenes)
-    return found
+def local_hashes(scenes: tuple[str, ...], frames: int, most: int) -> str:
+    output = hashes(scenes, frames, most, {})
+    assert len(output.splitlines()) == len(scenes)
+    return output
 
 
 def test_poses_without_these_instructions() -> None:
     clean = {k: v for k, v in child_environment().items() if not k.startswith(("NPY_", "GLIBC_", "OPENBLAS_"))}
-    found = set()
+    outputs = set()
     for settings in ({}, {**WITHOUT, "NPY_DISABLE_CPU_FEATURES": disabled()}):
-        made = subprocess.run(
+        process = subprocess.run(
             [sys.executable, str(ROOT / "tests" / "bodies" / "pose_hash.py")],
             env={**clean, **settings}, capture_output=True, text=True,
         )  # fmt: skip
-        assert made.returncode == 0, made.stderr[-3000:]
-        found.add(made.stdout)
-    assert len(found) == 1
+        assert process.returncode == 0, process.stderr[-3000:]
+        outputs.add(process.stdout)
+    assert len(outputs) == 1
 
 
 def test_examples_without_the_instructions_that_libraries_choose_between() -> None:
     settings = {**WITHOUT, "NPY_DISABLE_CPU_FEATURES": disabled()}
-    assert hashes(SOME, 2, 60, settings) == here(SOME, 2, 60)
+    assert hashes(SAMPLE_SCENES, 2, 60, settings) == local_hashes(SAMPLE_SCENES, 2, 60)
 
 
 @pytest.mark.slow
@@ -75,12 +78,12 @@ def test_examples_without_the_instructions_that_libraries_choose_between() -> No
 def test_every_example_without_them(name: str) -> None:
     settings = {**WITHOUT, "NPY_DISABLE_CPU_FEATURES": disabled()}
     chosen = settings if name == "all" else {name: settings[name]}
-    assert hashes(SCENES, 4, 200, chosen) == here(SCENES, 4, 200)
+    assert hashes(SCENES, 4, 200, chosen) == local_hashes(SCENES, 4, 200)
 
 
 @pytest.mark.slow
 def test_every_example_with_kernels_compiled_for_the_oldest_processor(tmp_path: Path) -> None:
-    assert hashes(SCENES, 4, 200, {"COMPILED": "oldest", "ANTDSL_NATIVE_CACHE": str(tmp_path)}) == here(SCENES, 4, 200)
+    assert hashes(SCENES, 4, 200, {"COMPILED": "oldest", "ANTDSL_NATIVE_CACHE": str(tmp_path)}) == local_hashes(SCENES, 4, 200)
 
 
 @pytest.mark.slow
@@ -89,4 +92,4 @@ def test_every_example_on_an_older_processor(processor: str) -> None:
     qemu = shutil.which("qemu-x86_64")
     if qemu is None:
         pytest.skip("there is no qemu-x86_64 here (the package qemu-user)")
-    assert hashes(SCENES, 2, 100, {}, (qemu, "-cpu", processor)) == here(SCENES, 2, 100)
+    assert hashes(SCENES, 2, 100, {}, (qemu, "-cpu", processor)) == local_hashes(SCENES, 2, 100)

@@ -26,25 +26,25 @@ def test_warnings_of_libraries_do_not_reach_the_terminal(tmp_path: Path, flags: 
     environment = child_environment(tmp_path)
     environment.pop("PYTHONWARNINGS", None)
     program = ROOT / "examples" / "minimal" / "walker.ant"
-    done = subprocess.run(
+    result = subprocess.run(
         [sys.executable, *flags, "-m", "antdsl", "graph", str(program), "--format", "svg", "--out", "-"],
         env=environment, cwd=tmp_path, capture_output=True, text=True, timeout=120,
     )  # fmt: skip
-    assert "missing-extra" in done.stderr  # it was imported
-    assert ("and again" in done.stderr) == heard
+    assert "missing-extra" in result.stderr  # it was imported
+    assert ("and again" in result.stderr) == heard
 
 
 def test_doctor_lists_every_extra() -> None:
     extras = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]["optional-dependencies"]
-    told = {found for words in EXTRAS.values() for found in re.findall(r"antdsl\[(\w+)\]", words)}
-    assert told == set(extras) - FOR_DEVELOPERS
+    named_extras = {extra for words in EXTRAS.values() for extra in re.findall(r"antdsl\[(\w+)\]", words)}
+    assert named_extras == set(extras) - FOR_DEVELOPERS
 
 
 @pytest.mark.parametrize(
     ("there", "asked", "taken", "told"),
     [(2, 4, 2, "may use 2 cores here"), (1, 4, 1, "may use 1 core here"), (2, 0, 2, ""), (2, 2, 2, ""), (8, 3, 3, "")],
 )
-def test_more_threads_than_cores_are_not_started_and_that_is_told(
+def test_more_threads_than_cores_are_not_started_and_that_is_reported(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], there: int, asked: int, taken: int, told: str
 ) -> None:
     """Embree's scheduler writes to the terminal where it is asked for more workers than there are cores."""

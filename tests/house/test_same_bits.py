@@ -9,7 +9,7 @@ from sampling import sampled
 from antdsl.runtime import Options, state_hash, step
 
 # How rays meet a mesh and what is asked of it differ by these; how a mesh is prepared does not.
-WAYS = (
+OPTION_SETS = (
     Options(threads=2, chunk=1000),
     Options(threads=1, chunk=100_000, shuffle_rows=1),
     Options(threads=2, chunk=100_000, shuffle_rows=2),
@@ -18,11 +18,11 @@ WAYS = (
 
 def hashes(options: Options, frames: int, **changes: object) -> list[str]:
     under_way = world(options, **changes)  # type: ignore[arg-type]
-    found = [state_hash(under_way)]
+    hash_list = [state_hash(under_way)]
     for _ in range(frames):
         step(under_way)
-        found.append(state_hash(under_way))
-    return found
+        hash_list.append(state_hash(under_way))
+    return hash_list
 
 
 CROWD = dict(count=2200, around=(70.0, 0.0, 50.0), radius=110.0)
@@ -33,20 +33,20 @@ def plainly() -> list[str]:
     return hashes(Options(threads=1, chunk=1000), 6, **CROWD)
 
 
-@pytest.mark.parametrize("options", sampled(WAYS, WAYS[1:]), ids=str)
+@pytest.mark.parametrize("options", sampled(OPTION_SETS, OPTION_SETS[1:]), ids=str)
 def test_the_same_hashes_in_many_ways(options: Options, plainly: list[str]) -> None:
     assert hashes(options, 6, **CROWD) == plainly
 
 
 def test_the_reference_backend_agrees() -> None:
     near = dict(count=20, around=(105.0, 0.0, 80.0), radius=25.0)
-    found = hashes(Options(backend="reference", shuffle_rows=3), 30, **near)
-    assert found == hashes(Options(threads=2), 30, **near)
-    assert len(set(found)) == 31
+    reference_hashes = hashes(Options(backend="reference", shuffle_rows=3), 30, **near)
+    assert reference_hashes == hashes(Options(threads=2), 30, **near)
+    assert len(set(reference_hashes)) == 31
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("options", WAYS, ids=str)
+@pytest.mark.parametrize("options", OPTION_SETS, ids=str)
 def test_the_same_hashes_with_fifteen_thousand(options: Options) -> None:
     many = EXAMPLE / "many.yaml"
     assert hashes(options, 60, scene=many) == hashes(Options(threads=1, chunk=1000), 60, scene=many)

@@ -37,7 +37,7 @@ def test_whole_shots_are_as_recorded(scene) -> None:
     assert difference(scene) is None
 
 
-def test_another_seed_would_be_told() -> None:
+def test_another_seed_is_noticed() -> None:
     scene = next(scene for scene in SCENES if named(scene) == "minimal/scene")
     hashes = dict(frames_of(scene, 2, None))
     assert hashes[1] == recorded()["minimal/scene"][1] and len(set(hashes.values())) == 3

@@ -72,11 +72,11 @@ def test_of_a_name_that_is_declared_twice_the_first_counts() -> None:
     text = "ant 1\nspecies a {\n  pace = 1\n  pace = 2\n  state s { when pace > 1 -> s }\n}\n"
     workspace = Workspace()
     document = workspace.put(Path("/nowhere/a.ant"), text)
-    (found,) = definition(workspace, document, text.index("pace > 1"))
-    assert document.start(found.span) == text.index("pace = 1")
+    (target,) = definition(workspace, document, text.index("pace > 1"))
+    assert document.start(target.span) == text.index("pace = 1")
 
 
-def test_a_behaviour_that_nobody_has_is_not_looked_for_in_the_library() -> None:
+def test_a_behaviour_that_does_not_exist_is_not_looked_for_in_the_library() -> None:
     text = PROGRAM.replace("seek(meal)", "sek(meal)")
     assert keys(text, "sek(") == [("?behaviour", "sek")]
 
@@ -109,8 +109,8 @@ def test_names_in_a_state_that_is_there_twice_lead_to_the_species() -> None:
 def test_a_use_that_the_library_makes_is_no_use_in_the_program() -> None:
     workspace = Workspace()
     document = workspace.put(Path("/nowhere/ant.ant"), PROGRAM)
-    found = references(workspace, document, PROGRAM.index("one: item"))
-    assert sorted(document.start(each.span) for each in found) == [
+    uses = references(workspace, document, PROGRAM.index("one: item"))
+    assert sorted(document.start(each.span) for each in uses) == [
         PROGRAM.index("one: item"), PROGRAM.index("one) <"), PROGRAM.index("one else")
     ]  # fmt: skip
 

@@ -31,7 +31,7 @@ INSERTED = ["{", "}", "(", ")", '"', "#", "\n", "\n\n", " ", ";", "x", "->", "wh
             "use steering\n", "param p = 1\n", "world { surface other }\n", "\t", "\r"]  # fmt: skip
 
 
-def said(found: list[Diagnostic]) -> list[tuple[object, ...]]:
+def said(diagnostics: list[Diagnostic]) -> list[tuple[object, ...]]:
     """All of each complaint, by places in the whole text."""
 
     def place(span: object) -> tuple[int, int] | None:
@@ -40,7 +40,7 @@ def said(found: list[Diagnostic]) -> list[tuple[object, ...]]:
     return sorted(
         (d.code, d.message, d.help or "", d.severity, place(d.span), *((place(each.span), each.text) for each in d.labels),
          (place(d.fix.span), d.fix.text) if d.fix is not None else None)
-        for d in found
+        for d in diagnostics
     )  # fmt: skip
 
 
@@ -49,8 +49,8 @@ def bound(file: nodes.File, bindings: Bindings) -> set[tuple[object, ...]]:
     names in a default of the language, is left out."""
 
     def place(span: Span) -> tuple[str, int, int]:
-        there = file.whole(span)
-        return there.source.path, there.start, there.end
+        file_span = file.file_span(span)
+        return file_span.source.path, file_span.start, file_span.end
 
     written_there = {place(node.span) for node, _ in written(file.items) if isinstance(node, nodes.Name)}
     return {
@@ -60,7 +60,7 @@ def bound(file: nodes.File, bindings: Bindings) -> set[tuple[object, ...]]:
     }  # fmt: skip
 
 
-def whole(path: Path, text: str) -> tuple[list[tuple[object, ...]], set[tuple[object, ...]]]:
+def check_afresh(path: Path, text: str) -> tuple[list[tuple[object, ...]], set[tuple[object, ...]]]:
     """What the chain says about a text that nobody has seen before, and what it resolves names to."""
     source = Source(str(path), text)
     parsed = syntax.parse(source)
@@ -98,12 +98,12 @@ def run(path: Path, seed: int, edits: int) -> None:
     original = path.read_text(encoding="utf-8")
     workspace, text = Workspace(), original
     workspace.put(path, text)
-    assert in_parts(workspace, path) == whole(path, text)
+    assert in_parts(workspace, path) == check_afresh(path, text)
     for number in range(edits):
         text = original if number % 5 == 4 else edited(text, rng)
         text = text.replace("\r", "\n")
         workspace.change(path, Text(text), number)
-        assert in_parts(workspace, path) == whole(path, text), f"seed {seed}, edit {number}:\n{text}"
+        assert in_parts(workspace, path) == check_afresh(path, text), f"seed {seed}, edit {number}:\n{text}"
 
 
 @pytest.mark.parametrize("path", sampled(EXAMPLES, EXAMPLES[::3]), ids=lambda path: str(path.relative_to(ROOT / "examples")))
@@ -130,11 +130,11 @@ def test_only_what_changed_is_parsed_again() -> None:
 def test_blocks_are_whole_lines_in_order() -> None:
     for path in EXAMPLES:
         text = path.read_text(encoding="utf-8")
-        found = cuts(text)
-        assert found is not None and len(found) > 3, path
-        assert all(a.end <= b.start for a, b in pairwise(found))
-        assert all(text[cut.start - 1 : cut.start] in ("", "\n") for cut in found)
-        left = [text[a.end : b.start].partition("#")[0].strip() for a, b in pairwise(found)]
+        blocks = cuts(text)
+        assert blocks is not None and len(blocks) > 3, path
+        assert all(a.end <= b.start for a, b in pairwise(blocks))
+        assert all(text[cut.start - 1 : cut.start] in ("", "\n") for cut in blocks)
+        left = [text[a.end : b.start].partition("#")[0].strip() for a, b in pairwise(blocks)]
         assert set(left) <= {"", "}"}, "between blocks there is nothing but what closes a species"
 
 
@@ -146,7 +146,7 @@ def test_nodes_in_parts_have_their_places_in_the_whole() -> None:
         assert parted.parts, path
 
         def names(file: nodes.File) -> list[tuple[str, int, int]]:
-            spans = [(node.text, file.whole(node.span)) for node, _ in written(file.items) if isinstance(node, nodes.Name)]
+            spans = [(node.text, file.file_span(node.span)) for node, _ in written(file.items) if isinstance(node, nodes.Name)]
             return [(text, span.start, span.end) for text, span in spans]
 
         assert names(plain) == names(parted), path

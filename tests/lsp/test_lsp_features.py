@@ -83,8 +83,8 @@ async def test_hover_says_which_states_stand_still(client) -> None:
 
 async def test_hover_in_a_scene_knows_the_program_and_the_keys(client) -> None:
     async def said(word: str) -> str:
-        found = await client.text_document_hover_async(lsp.HoverParams(**ask(client.scene, place_of(SCENE, word))))
-        return found.contents.value if found is not None else ""
+        hover = await client.text_document_hover_async(lsp.HoverParams(**ask(client.scene, place_of(SCENE, word))))
+        return hover.contents.value if hover is not None else ""
 
     assert "Sources, each with a quantity" in await said("food:")
     assert "value of each of `food`" in await said("load: 400")
@@ -96,16 +96,16 @@ async def test_hover_in_a_scene_knows_the_program_and_the_keys(client) -> None:
 # --- completion ------------------------------------------------------------------------------------------------------
 
 
-async def proposals(client, line: str, after: str = "    deposit trail track\n") -> dict[str, lsp.CompletionItem]:
-    """What is proposed at the end of a line of a state, or of whatever comes after `after`."""
+async def proposals(client, line: str, preceding_text: str = "    deposit trail track\n") -> dict[str, lsp.CompletionItem]:
+    """What is proposed at the end of a line of a state, or of whatever comes after `preceding_text`."""
     editor, uri = Editor(client), (client.folder / "foraging" / "writing.ant").resolve().as_uri()
-    at = FORAGER.index(after) + len(after)
+    at = FORAGER.index(preceding_text) + len(preceding_text)
     text = FORAGER[:at] + line + "\n" + FORAGER[at:]
     await editor.open(uri, text)
     position = lsp.Position(text[:at].count("\n") + line.count("\n"), len(line.rpartition("\n")[2]))
-    found = await client.text_document_completion_async(lsp.CompletionParams(**ask(uri, position)))
+    completion = await client.text_document_completion_async(lsp.CompletionParams(**ask(uri, position)))
     editor.close(uri)
-    return {item.label: item for item in found.items}
+    return {item.label: item for item in completion.items}
 
 
 @pytest.mark.parametrize(
@@ -128,9 +128,9 @@ async def proposals(client, line: str, after: str = "    deposit trail track\n")
     ],
 )
 async def test_completion_knows_where_it_is(client, line: str, wanted: str, unwanted: str) -> None:
-    found = await proposals(client, line)
-    assert set(wanted.split()) <= set(found), sorted(found)
-    assert not set(unwanted.split()) & set(found)
+    items = await proposals(client, line)
+    assert set(wanted.split()) <= set(items), sorted(items)
+    assert not set(unwanted.split()) & set(items)
 
 
 @pytest.mark.parametrize(
@@ -150,16 +150,16 @@ async def test_completion_knows_where_it_is(client, line: str, wanted: str, unwa
     ],
 )
 async def test_completion_knows_the_block(client, line: str, after: str, wanted: str, unwanted: str) -> None:
-    found = await proposals(client, line, after)
-    assert set(wanted.split()) <= set(found), sorted(found)
-    assert not set(unwanted.split()) & set(found)
+    items = await proposals(client, line, after)
+    assert set(wanted.split()) <= set(items), sorted(items)
+    assert not set(unwanted.split()) & set(items)
 
 
 async def test_behaviours_come_with_places_for_what_they_must_be_given(client) -> None:
-    found = await proposals(client, "    steer ")
-    assert found["seek"].insert_text == "seek(${1:target})$0" and found["seek"].insert_text_format == lsp.InsertTextFormat.Snippet
-    assert found["seek"].detail == "seek(target: place) -> push" and "Straight to it" in found["seek"].documentation.value
-    assert found["smell"].documentation.value == "How far an ant smells food"
+    items = await proposals(client, "    steer ")
+    assert items["seek"].insert_text == "seek(${1:target})$0" and items["seek"].insert_text_format == lsp.InsertTextFormat.Snippet
+    assert items["seek"].detail == "seek(target: place) -> push" and "Straight to it" in items["seek"].documentation.value
+    assert items["smell"].documentation.value == "How far an ant smells food"
 
 
 @pytest.mark.parametrize(
@@ -190,9 +190,9 @@ async def test_completion_of_scenes(client, line: str, after: str, wanted: str, 
     await editor.rewrite(uri, text)
     at = text.index(line + "\n", text.index(after)) if line.strip() else at
     position = lsp.Position(text[: at + len(line)].count("\n"), len(line))
-    found = await client.text_document_completion_async(lsp.CompletionParams(**ask(uri, position)))
+    completion = await client.text_document_completion_async(lsp.CompletionParams(**ask(uri, position)))
     editor.close(uri)
-    labels = {item.label for item in found.items}
+    labels = {item.label for item in completion.items}
     assert set(wanted.split()) <= labels, sorted(labels)
     assert not set(unwanted.split()) & labels
 
@@ -202,9 +202,9 @@ async def test_completion_of_scenes(client, line: str, after: str, wanted: str, 
 
 async def test_symbols_lie_in_each_other(client) -> None:
     identifier = lsp.TextDocumentIdentifier(client.program)
-    found = await client.text_document_document_symbol_async(lsp.DocumentSymbolParams(identifier))
-    assert [each.name for each in found if each.kind != lsp.SymbolKind.Method] == ["steering", "world", "trail", "forager"]
-    inner = {each.name: each for each in found[3].children}
+    symbols = await client.text_document_document_symbol_async(lsp.DocumentSymbolParams(identifier))
+    assert [each.name for each in symbols if each.kind != lsp.SymbolKind.Method] == ["steering", "world", "trail", "forager"]
+    inner = {each.name: each for each in symbols[3].children}
     assert {"smell", "load", "meal", "search", "carry", "layers"} <= set(inner)
     assert inner["carry"].kind == lsp.SymbolKind.EnumMember and cut_out(FORAGER, inner["carry"].selection_range) == "carry"
     assert cut_out(FORAGER, inner["carry"].range).startswith("state carry") and cut_out(FORAGER, inner["carry"].range).endswith(
@@ -217,22 +217,22 @@ async def test_symbols_lie_in_each_other(client) -> None:
 
 
 async def test_blocks_fold(client) -> None:
-    found = await client.text_document_folding_range_async(lsp.FoldingRangeParams(lsp.TextDocumentIdentifier(client.program)))
+    folds = await client.text_document_folding_range_async(lsp.FoldingRangeParams(lsp.TextDocumentIdentifier(client.program)))
     lines = FORAGER.splitlines()
-    heads = [lines[each.start_line].split()[0] for each in found]
-    assert heads[:3] == ["world", "species", "state"] and heads.count("state") == 6
-    assert all(lines[each.end_line + 1].strip() == "}" for each in found)
+    first_words = [lines[each.start_line].split()[0] for each in folds]
+    assert first_words[:3] == ["world", "species", "state"] and first_words.count("state") == 6
+    assert all(lines[each.end_line + 1].strip() == "}" for each in folds)
     scene = await client.text_document_folding_range_async(lsp.FoldingRangeParams(lsp.TextDocumentIdentifier(client.scene)))
     assert [SCENE.splitlines()[each.start_line].strip() for each in scene] == ["world:", "food:", "nest:", "crowd:"]
 
 
 async def test_tokens_say_what_words_are(client) -> None:
     identifier = lsp.TextDocumentIdentifier(client.program)
-    found = await client.text_document_semantic_tokens_full_async(lsp.SemanticTokensParams(identifier))
-    from antdsl.lsp.features.tokens import shown
+    tokens = await client.text_document_semantic_tokens_full_async(lsp.SemanticTokensParams(identifier))
+    from antdsl.lsp.features.tokens import list_tokens
     from antdsl.lsp.text import Text
 
-    words = shown(list(found.data), Text(FORAGER))
+    words = list_tokens(list(tokens.data), Text(FORAGER))
     for pair in [
         ("species", "keyword"), ("forager", "class"), ("smell", "property"), ("40 mm", "number"), ("nearest", "function"),
         ("wander", "function"), ("swing", "parameter"), ("carry", "enumMember"), ("# body length", "comment"), ("->", "operator"),
@@ -242,9 +242,9 @@ async def test_tokens_say_what_words_are(client) -> None:
     assert "".join(text for text, _ in words) == "".join(part for part in _without_signs(FORAGER)), (
         "every word, number, text and comment has its token, once"
     )
-    some = lsp.Range(lsp.Position(30, 0), lsp.Position(31, 0))
-    part = await client.text_document_semantic_tokens_range_async(lsp.SemanticTokensRangeParams(identifier, some))
-    assert shown(list(part.data), Text(FORAGER))[:3] == [("let", "keyword"), ("meal", "property"), ("=", "operator")]
+    part_range = lsp.Range(lsp.Position(30, 0), lsp.Position(31, 0))
+    part = await client.text_document_semantic_tokens_range_async(lsp.SemanticTokensRangeParams(identifier, part_range))
+    assert list_tokens(list(part.data), Text(FORAGER))[:3] == [("let", "keyword"), ("meal", "property"), ("=", "operator")]
 
 
 def _without_signs(text: str) -> list[str]:
@@ -262,13 +262,15 @@ def _without_signs(text: str) -> list[str]:
 async def test_hints_rank_layers_and_count_frames(client) -> None:
     async def hints(uri: str) -> list[tuple[int, str, str]]:
         everything = lsp.Range(lsp.Position(0, 0), lsp.Position(999, 0))
-        found = await client.text_document_inlay_hint_async(lsp.InlayHintParams(lsp.TextDocumentIdentifier(uri), everything))
-        return [(each.position.line, each.label, each.tooltip) for each in found]
+        inlay_hints = await client.text_document_inlay_hint_async(
+            lsp.InlayHintParams(lsp.TextDocumentIdentifier(uri), everything)
+        )
+        return [(each.position.line, each.label, each.tooltip) for each in inlay_hints]
 
-    lines, found = FORAGER.splitlines(), await hints(client.program)
-    ranks = [(lines[line].split("(")[0].strip(), text) for line, text, _ in found if text.endswith(".")]
+    lines, inlay_hints = FORAGER.splitlines(), await hints(client.program)
+    ranks = [(lines[line].split("(")[0].strip(), text) for line, text, _ in inlay_hints if text.endswith(".")]
     assert [text for _, text in ranks] == ["1.", "2.", "3.", "4."] and ranks[0][0] == "avoid"
-    held = next(text for line, text, _ in found if "held 0.5 s" in lines[line])
+    held = next(text for line, text, _ in inlay_hints if "held 0.5 s" in lines[line])
     assert held == "12 frames", "24 a second, as its scenes say"
     editor, alone = Editor(client), (client.folder / "alone.ant").resolve().as_uri()
     await editor.open(
@@ -296,8 +298,8 @@ async def test_suggestions_can_be_applied(client, right: str, wrong: str) -> Non
     assert right in FORAGER
     editor, uri = Editor(client), (client.folder / "foraging" / "wrong.ant").resolve().as_uri()
     text = FORAGER.replace(right, wrong, 1)
-    found = await editor.open(uri, text)
-    errors = [each for each in found if each.severity == lsp.DiagnosticSeverity.Error]
+    diagnostics = await editor.open(uri, text)
+    errors = [each for each in diagnostics if each.severity == lsp.DiagnosticSeverity.Error]
     assert len(errors) == 1
     context = lsp.CodeActionContext(errors)
     params = lsp.CodeActionParams(lsp.TextDocumentIdentifier(uri), errors[0].range, context)

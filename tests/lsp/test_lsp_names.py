@@ -63,14 +63,14 @@ def text_of(uri: str) -> str:
     return path.read_text(encoding="utf-8")
 
 
-def lines(found: list[lsp.Location]) -> list[tuple[str, str]]:
+def lines(locations: list[lsp.Location]) -> list[tuple[str, str]]:
     """The file and the text of the line of each location."""
-    shown = []
-    for each in found:
+    line_texts = []
+    for each in locations:
         path = path_of(each.uri)
         assert path is not None
-        shown.append((path.name, text_of(each.uri).splitlines()[each.range.start.line].strip()))
-    return shown
+        line_texts.append((path.name, text_of(each.uri).splitlines()[each.range.start.line].strip()))
+    return line_texts
 
 
 async def definition(client, file: str, word: str, nth: int = 0) -> list[tuple[str, str]]:
@@ -115,11 +115,11 @@ async def definition(client, file: str, word: str, nth: int = 0) -> list[tuple[s
 async def test_a_name_leads_to_where_it_is_declared(
     client, file: str, word: str, nth: int, wanted: tuple[str, str] | None
 ) -> None:
-    found = await definition(client, file, word, nth)
+    targets = await definition(client, file, word, nth)
     if wanted is None:
-        assert found == []
+        assert targets == []
     else:
-        assert found and found[0][0] == wanted[0] and wanted[1] in found[0][1], found
+        assert targets and targets[0][0] == wanted[0] and wanted[1] in targets[0][1], targets
 
 
 async def references(client, file: str, word: str, declaration: bool = True) -> list[lsp.Location]:
@@ -131,10 +131,10 @@ async def references(client, file: str, word: str, declaration: bool = True) -> 
 
 
 async def test_references_are_found_in_programs_and_scenes(client) -> None:
-    found = await references(client, "foraging/forager.ant", "patience =")
-    assert [(name, cut_out(text_of(each.uri), each.range)) for each, (name, _) in zip(found, lines(found), strict=True)] == [
-        ("forager.ant", "patience")
-    ] * 3 + [("many.yaml", "patience")]
+    locations = await references(client, "foraging/forager.ant", "patience =")
+    assert [
+        (name, cut_out(text_of(each.uri), each.range)) for each, (name, _) in zip(locations, lines(locations), strict=True)
+    ] == [("forager.ant", "patience")] * 3 + [("many.yaml", "patience")]
     assert len(await references(client, "foraging/forager.ant", "patience =", declaration=False)) == 3
     states = lines(await references(client, "foraging/forager.ant", 'approach "Smells'))
     assert len(states) == 5 and sum("-> approach" in line for _, line in states) == 4
@@ -148,8 +148,8 @@ async def rename(client, file: str, word: str, new: str) -> dict[str, str]:
     """The texts of all files after a rename, by their name."""
     uri = (client.folder / file).as_uri()
     params = lsp.RenameParams(new_name=new, **ask(uri, place_of(text_of(uri), word)))
-    found = await client.text_document_rename_async(params)
-    return {path_of(each).name: applied(text_of(each), list(edits)) for each, edits in found.changes.items()}
+    workspace_edit = await client.text_document_rename_async(params)
+    return {path_of(each).name: applied(text_of(each), list(edits)) for each, edits in workspace_edit.changes.items()}
 
 
 @pytest.mark.parametrize(
@@ -166,28 +166,28 @@ async def rename(client, file: str, word: str, new: str) -> dict[str, str]:
     ],
 )
 async def test_a_renamed_program_is_the_same_program(client, tmp_path: Path, word: str, new: str, files: set[str]) -> None:
-    made = await rename(client, "foraging/forager.ant", word, new)
-    assert set(made) == files
+    texts = await rename(client, "foraging/forager.ant", word, new)
+    assert set(texts) == files
     for name in ("forager.ant", "scene.yaml", "many.yaml"):
-        (tmp_path / name).write_text(made.get(name, (FORAGING / name).read_text(encoding="utf-8")), encoding="utf-8")
+        (tmp_path / name).write_text(texts.get(name, (FORAGING / name).read_text(encoding="utf-8")), encoding="utf-8")
     for mesh in FORAGING.glob("*.ply"):
         shutil.copy(mesh, tmp_path / mesh.name)
     program, report = check_path(tmp_path / "scene.yaml")
     assert program is not None and not report.diagnostics, [(d.message, str(d.span)) for d in report.diagnostics]
     assert check_path(tmp_path / "many.yaml")[1].ok
     old = word.split()[0]
-    assert not [line for line in made["forager.ant"].splitlines() if f"{old} = " in line or f" {old}(" in line]
+    assert not [line for line in texts["forager.ant"].splitlines() if f"{old} = " in line or f" {old}(" in line]
 
 
 async def test_a_rename_reaches_into_used_files_and_machines(client) -> None:
-    made = await rename(client, "using/mine.ant", "pace:", "tempo")
-    assert "mine.stroll(tempo: 0.5)" in made["walker.ant"] and "let slow = tempo * 0.5" in made["mine.ant"]
-    made = await rename(client, "using/walker.ant", "angry ->", "furious")
-    assert "mood.state == furious" in made["walker.ant"] and "-> furious }" in made["walker.ant"]
-    made = await rename(client, "using/walker.ant", "shout ->", "alarm")
-    assert made["walker.ant"].count("alarm") == 3 and "shout" not in made["walker.ant"]
-    made = await rename(client, "using/walker.ant", "other.calm", "rival")
-    assert "on collision(rival) { calm -= rival.calm * 0.1 }" in made["walker.ant"]
+    texts = await rename(client, "using/mine.ant", "pace:", "tempo")
+    assert "mine.stroll(tempo: 0.5)" in texts["walker.ant"] and "let slow = tempo * 0.5" in texts["mine.ant"]
+    texts = await rename(client, "using/walker.ant", "angry ->", "furious")
+    assert "mood.state == furious" in texts["walker.ant"] and "-> furious }" in texts["walker.ant"]
+    texts = await rename(client, "using/walker.ant", "shout ->", "alarm")
+    assert texts["walker.ant"].count("alarm") == 3 and "shout" not in texts["walker.ant"]
+    texts = await rename(client, "using/walker.ant", "other.calm", "rival")
+    assert "on collision(rival) { calm -= rival.calm * 0.1 }" in texts["walker.ant"]
 
 
 @pytest.mark.parametrize(

@@ -81,7 +81,9 @@ def test_a_rename_reaches_scenes_that_extend_each_other(tmp_path: Path, asked: s
     assert document is not None
     offset = document.text.text.index(name)
     texts: dict[Path, str] = {}
-    for each in sorted(rename(workspace, document, offset, "other"), key=lambda found: -found.document.start(found.span)):
+    for each in sorted(
+        rename(workspace, document, offset, "other"), key=lambda occurrence: -occurrence.document.start(occurrence.span)
+    ):
         path, text = each.document.path, texts.get(each.document.path, each.document.text.text)
         texts[path] = text[: each.document.start(each.span)] + "other" + text[each.document.end(each.span) :]
     for path, text in texts.items():
@@ -91,14 +93,14 @@ def test_a_rename_reaches_scenes_that_extend_each_other(tmp_path: Path, asked: s
         assert [d.message for d in workspace.complaints(tmp_path / file) if d.severity == "error"] == []
 
 
-def test_an_exit_without_a_shutdown_is_told_by_the_exit_code() -> None:
+def test_an_exit_without_a_shutdown_sets_the_exit_code() -> None:
     pytest.importorskip("pygls", reason="the language server needs the extra [lsp]")
 
     def ended(*methods: str) -> int:
         texts = []
         for number, method in enumerate(("initialize", *methods)):
-            asked = {"params": {"processId": None, "rootUri": None, "capabilities": {}}} if not number else {}
-            said = json.dumps({"jsonrpc": "2.0", "method": method, **asked, **({} if method == "exit" else {"id": number})})
+            parameters = {"params": {"processId": None, "rootUri": None, "capabilities": {}}} if not number else {}
+            said = json.dumps({"jsonrpc": "2.0", "method": method, **parameters, **({} if method == "exit" else {"id": number})})
             texts.append(f"Content-Length: {len(said)}\r\n\r\n{said}")
         command = [sys.executable, "-m", "antdsl", "lsp"]
         return subprocess.run(command, input="".join(texts).encode(), capture_output=True, timeout=60).returncode
@@ -148,6 +150,6 @@ never: state == s held 1 s * pace
 when any(n in neighbours(size): n.pace > 0) eventually: true"""
     text = f'{PROGRAM}spec "a" on "base.yaml" {{\nagainst "child.yaml"\neach bug {{\n{lines}\n}}\n}}\n'
     document = Workspace().put(tmp_path / "bug.ant", text)
-    found = [each.key for each in document.occurrences if document.start(each.span) > len(PROGRAM)]
-    assert found.count(("state", "bug", "main", "s")) == 2 and found.count(("own", "bug", "pace")) == 3
-    assert [key[1] for key in found if key[0] == "file"] == [str(tmp_path / "base.yaml"), str(tmp_path / "child.yaml")]
+    keys = [each.key for each in document.occurrences if document.start(each.span) > len(PROGRAM)]
+    assert keys.count(("state", "bug", "main", "s")) == 2 and keys.count(("own", "bug", "pace")) == 3
+    assert [key[1] for key in keys if key[0] == "file"] == [str(tmp_path / "base.yaml"), str(tmp_path / "child.yaml")]

@@ -28,9 +28,9 @@ async def test_complaints_come_as_one_types_and_go(client) -> None:
     editor, path = Editor(client), client.folder / "foraging" / "typing.ant"
     assert await editor.open(path, FORAGER) == []
     wrong = FORAGER.replace("-> follow_trail", "-> folow_trail", 1)
-    found = await editor.rewrite(path.as_uri(), wrong)
-    assert [(d.code, cut_out(wrong, d.range), d.source) for d in found] == [("unknown-state", "folow_trail", "antdsl")]
-    assert "did you mean `follow_trail`?" in found[0].message
+    diagnostics = await editor.rewrite(path.as_uri(), wrong)
+    assert [(d.code, cut_out(wrong, d.range), d.source) for d in diagnostics] == [("unknown-state", "folow_trail", "antdsl")]
+    assert "did you mean `follow_trail`?" in diagnostics[0].message
     assert await editor.rewrite(path.as_uri(), FORAGER) == []
     editor.close(path.as_uri())
 
@@ -51,8 +51,8 @@ async def test_edits_of_parts_of_a_text_are_put_together(client) -> None:
         lsp.TextDocumentContentChangePartial(lsp.Range(at, lsp.Position(at.line, at.character + 2)), "50"),
         lsp.TextDocumentContentChangePartial(lsp.Range(lsp.Position(0, 4), lsp.Position(0, 5)), "7"),
     ]
-    found = await editor.change(path.as_uri(), both)
-    assert [(d.code, d.range.start) for d in found] == [("unknown-edition", lsp.Position(0, 4))]
+    diagnostics = await editor.change(path.as_uri(), both)
+    assert [(d.code, d.range.start) for d in diagnostics] == [("unknown-edition", lsp.Position(0, 4))]
     hover = await client.text_document_hover_async(lsp.HoverParams(**ask(path.as_uri(), place_of(FORAGER, "smell    ="))))
     assert "param smell = 50 mm" in hover.contents.value
     editor.close(path.as_uri())
@@ -61,10 +61,10 @@ async def test_edits_of_parts_of_a_text_are_put_together(client) -> None:
 async def test_places_are_counted_in_utf_16_and_from_0(client) -> None:
     editor, path = Editor(client), client.folder / "ants 🐜 %20.ant"
     text = 'ant 1\nspecies ant "🐜🐜 walks" { max_speed 3 mm/s; state a "🐜" { steer heading * faktor } }\n'
-    found = await editor.open(path, text)
-    assert [(d.code, d.range.start) for d in found] == [("unknown-name", place_of(text, "faktor", inside=0))]
-    assert found[0].range.start.character == text.splitlines()[1].index("faktor") + 3, "three ants take two columns each"
-    assert cut_out(text, found[0].range) == "faktor"
+    diagnostics = await editor.open(path, text)
+    assert [(d.code, d.range.start) for d in diagnostics] == [("unknown-name", place_of(text, "faktor", inside=0))]
+    assert diagnostics[0].range.start.character == text.splitlines()[1].index("faktor") + 3, "three ants take two columns each"
+    assert cut_out(text, diagnostics[0].range) == "faktor"
     text, position = cursor(text.replace("heading", "hea|ding"))
     hover = await client.text_document_hover_async(lsp.HoverParams(**ask(path.as_uri(), position)))
     assert "where it faces" in hover.contents.value and cut_out(text, hover.range) == "heading"
@@ -74,9 +74,9 @@ async def test_places_are_counted_in_utf_16_and_from_0(client) -> None:
 @pytest.mark.parametrize("end", ["\r\n", "\r"])
 async def test_line_ends_of_other_systems_move_nothing(client, end: str) -> None:
     editor, path = Editor(client), client.folder / "ends.ant"
-    found = await editor.open(path, FORAGER.replace("-> carry", "-> cary").replace("\n", end))
+    diagnostics = await editor.open(path, FORAGER.replace("-> carry", "-> cary").replace("\n", end))
     plain = FORAGER.replace("-> carry", "-> cary")
-    assert [(d.code, cut_out(plain, d.range)) for d in found if d.severity == 1] == [("unknown-state", "cary")]
+    assert [(d.code, cut_out(plain, d.range)) for d in diagnostics if d.severity == 1] == [("unknown-state", "cary")]
     editor.close(path.as_uri())
 
 
@@ -89,8 +89,8 @@ async def test_a_scene_is_checked_with_its_program_and_again_when_that_changes(c
     assert [cut_out(wrong, d.range) for d in await editor.rewrite(scene.as_uri(), wrong)] == ["lod"]
     assert await editor.rewrite(scene.as_uri(), text) == []
     await editor.open(program, FORAGER.replace("surface  ground ", "curve    way\n  surface  ground "))
-    told = await _next(editor, scene.as_uri())
-    assert any("`way`" in d.message for d in told), "the scene does not bind what the buffer declares"
+    diagnostics = await _next(editor, scene.as_uri())
+    assert any("`way`" in d.message for d in diagnostics), "the scene does not bind what the buffer declares"
     await editor.rewrite(program.as_uri(), FORAGER)
     assert await _next(editor, scene.as_uri()) == []
     assert program.read_text(encoding="utf-8") == FORAGER
@@ -106,8 +106,8 @@ async def _next(editor: Editor, uri: str) -> list[lsp.Diagnostic]:
 
 async def test_a_document_that_is_no_file_yet(client) -> None:
     editor = Editor(client)
-    found = await editor.open("untitled:Untitled-1", "ant 1\nspecies walker { state a { steer nowhere } }\n")
-    assert [d.code for d in found] == ["unknown-name"]
+    diagnostics = await editor.open("untitled:Untitled-1", "ant 1\nspecies walker { state a { steer nowhere } }\n")
+    assert [d.code for d in diagnostics] == ["unknown-name"]
     editor.close("untitled:Untitled-1")
 
 
@@ -154,7 +154,7 @@ async def test_no_text_on_the_way_ends_the_server(client) -> None:
         await editor.rewrite(path.as_uri(), text[:start] + text[start + 61 :])
         identifier = lsp.TextDocumentIdentifier(path.as_uri())
         await client.text_document_semantic_tokens_full_async(lsp.SemanticTokensParams(identifier))
-        whole = lsp.Range(lsp.Position(0, 0), lsp.Position(500, 0))
-        await client.text_document_inlay_hint_async(lsp.InlayHintParams(identifier, whole))
+        text_range = lsp.Range(lsp.Position(0, 0), lsp.Position(500, 0))
+        await client.text_document_inlay_hint_async(lsp.InlayHintParams(identifier, text_range))
     assert await editor.rewrite(path.as_uri(), text) == []
     editor.close(path.as_uri())

@@ -17,10 +17,10 @@ pytestmark = pytest.mark.skipif(not machine.available(), reason="no llvmlite")
 
 @kernel
 def read(
-    real: F64, single: F32, whole: I64, unsigned: U64, truth: BOOL, pair: tuple[Array1[F32], tuple[F64, I64]]
+    real: F64, single: F32, integer: I64, unsigned: U64, truth: BOOL, pair: tuple[Array1[F32], tuple[F64, I64]]
 ) -> tuple[F64, F32, I64, U64, BOOL, F32, F64, I64]:
     first, (second, third) = pair
-    return real, single, whole, unsigned, truth, first[0], second, third
+    return real, single, integer, unsigned, truth, first[0], second, third
 
 
 @kernel
@@ -75,11 +75,11 @@ _OTHERWISE: list[tuple[Any, ...]] = [
 @pytest.mark.skipif(not direct.possible(), reason="objects lie otherwise here")
 @pytest.mark.parametrize(("cases", "calls"), [(_GOOD, 0), (_OTHERWISE, len(_OTHERWISE))])
 def test_numbers_and_tuples_are_read(otherwise: list[str], cases: list[tuple[Any, ...]], calls: int) -> None:
-    for real, single, whole, unsigned, truth, pair in cases:
-        found = read(real, single, whole, unsigned, truth, pair)
+    for real, single, integer, unsigned, truth, pair in cases:
+        result = read(real, single, integer, unsigned, truth, pair)
         first, (second, third) = pair
-        assert found == (real, single, whole, unsigned, bool(truth), first[0], second, third)
-        assert [type(each) for each in found] == [float, float, int, int, bool, float, float, int]
+        assert result == (real, single, integer, unsigned, bool(truth), first[0], second, third)
+        assert [type(each) for each in result] == [float, float, int, int, bool, float, float, int]
     assert otherwise == ["read"] * calls
 
 
@@ -94,7 +94,7 @@ def test_arrays_are_read_as_they_lie(otherwise: list[str]) -> None:
     assert not otherwise
 
 
-def test_mistakes_are_told() -> None:
+def test_wrong_arguments_are_reported() -> None:
     x, out, any_way = np.zeros(4), np.zeros((4, 3)), np.zeros((4, 3), np.float32)
     still = out.copy()
     still.flags.writeable = False
@@ -126,13 +126,13 @@ def test_nothing_is_held_or_let_go_by_a_call() -> None:
     array, big = np.arange(100_000, 100_005), 123_456.789
     pair = (_ONE, (big, 9))
     last(array), read(big, 2.5, 3, 4, True, pair)
-    before = [sys.getrefcount(each) for each in (array, big, pair, _ONE, np.dtype(np.int64), None, True)]
+    initial_counts = [sys.getrefcount(each) for each in (array, big, pair, _ONE, np.dtype(np.int64), None, True)]
     for _ in range(1_000):
         last(array)
         read(big, 2.5, 3, 4, True, pair)
         written(np.zeros(0), np.zeros((0, 3)), np.zeros((0, 3), np.float32))
-    after = [sys.getrefcount(each) for each in (array, big, pair, _ONE, np.dtype(np.int64), None, True)]
-    assert all(abs(a - b) < 50 for a, b in zip(before, after, strict=True))
+    final_counts = [sys.getrefcount(each) for each in (array, big, pair, _ONE, np.dtype(np.int64), None, True)]
+    assert all(abs(a - b) < 50 for a, b in zip(initial_counts, final_counts, strict=True))
 
 
 def test_threads_call_at_once() -> None:

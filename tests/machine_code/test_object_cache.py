@@ -95,7 +95,7 @@ def test_what_is_put_is_there_for_other_runs(folder: Path, home: Path) -> None:
         assert signing.key_file().stat().st_mode & 0o777 == 0o600
 
 
-def test_a_kept_object_file_runs(folder: Path) -> None:
+def test_a_stored_object_file_runs(folder: Path) -> None:
     need_llvmlite()
     import ctypes
 
@@ -109,10 +109,10 @@ def test_a_kept_object_file_runs(folder: Path) -> None:
 }"""
     name = key(text, host(), versions=versions())
     ObjectCache(folder).put(name, object_code(text, host()))
-    kept = ObjectCache(folder).get(name)
-    assert kept is not None
+    stored_code = ObjectCache(folder).get(name)
+    assert stored_code is not None
     numbers = (ctypes.c_double * 2)(1.5, 2.5)
-    code = load(kept)  # whose functions are there as long as it is
+    code = load(stored_code)  # whose functions are there as long as it is
     code.function("twice")((ctypes.c_void_p * 1)(ctypes.addressof(numbers)), 1, 2)
     assert list(numbers) == [1.5, 5.0]
 

@@ -28,9 +28,9 @@ def ptx_of(kernel: Kernel) -> str:
 
 @pytest.mark.parametrize("kernel", [cosines, set_out, arrive], ids=lambda kernel: kernel.__name__)
 def test_a_kernel_becomes_ptx_without_fused_operations(kernel: Kernel) -> None:
-    found = set(re.findall(r"\b((?:fma|mad|add|sub|mul|div|sqrt)\.[a-z.]*f(?:32|64))\b", ptx_of(kernel)))
-    assert found, "it calculates"
-    assert {name for name in found if name.startswith(("fma", "mad")) or ".rn." not in name or "ftz" in name} == set()
+    operations = set(re.findall(r"\b((?:fma|mad|add|sub|mul|div|sqrt)\.[a-z.]*f(?:32|64))\b", ptx_of(kernel)))
+    assert operations, "it calculates"
+    assert {name for name in operations if name.startswith(("fma", "mad")) or ".rn." not in name or "ftz" in name} == set()
 
 
 def test_numbers_are_read_and_stored_whole() -> None:

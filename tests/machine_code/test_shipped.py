@@ -119,22 +119,32 @@ def test_code_of_the_installation_is_used_before_any_is_compiled(
     compiled.clear()
     kernel = type(cosines)(cosines.part.function)
     codes.forget()
-    assert kernel.kept()
+    assert kernel.has_code()
     angles = np.linspace(-7, 7, 50, dtype=np.float32)
-    found, expected = np.empty_like(angles), np.empty_like(angles)
-    kernel(angles, found)
+    result, expected = np.empty_like(angles), np.empty_like(angles)
+    kernel(angles, result)
     cosines(angles, expected)
     rows()
-    assert not compiled and np.array_equal(found, expected)
-    assert not list((tmp_path / "user").iterdir()) and codes.told() == []
+    assert not compiled and np.array_equal(result, expected)
+    assert not list((tmp_path / "user").iterdir()) and codes.messages() == []
 
 
 # Where a bit is flipped: in the head (form, hash of the index, number of entries), in the index (key, position, size, hash), and
 # in the code of the first object and of the last.
-PLACES = {"form": 3, "index hash": 20, "number": 48, "key": 60, "position": 88, "size": 96, "hash": 110, "first": 300, "last": -1}
+BYTE_OFFSETS = {
+    "form": 3,
+    "index hash": 20,
+    "number": 48,
+    "key": 60,
+    "position": 88,
+    "size": 96,
+    "hash": 110,
+    "first": 300,
+    "last": -1,
+}
 
 
-@pytest.mark.parametrize("place", PLACES.values(), ids=PLACES)
+@pytest.mark.parametrize("place", BYTE_OFFSETS.values(), ids=BYTE_OFFSETS)
 def test_a_damaged_bit_is_found_and_the_code_compiled(folder: Path, compiled: list[str], place: int) -> None:
     build(folder, [row_copies.text], [own()])  # type: ignore[list-item]
     path = shipped.file_of(folder, own())
@@ -143,12 +153,12 @@ def test_a_damaged_bit_is_found_and_the_code_compiled(folder: Path, compiled: li
     path.write_bytes(data)
     compiled.clear()
     assert rows().function("rows") and len(compiled) == 1
-    [message] = codes.told()
+    [message] = codes.messages()
     assert "damaged" in message and str(path) in message
     path.unlink()
     build(folder, [row_copies.text], [own()])  # type: ignore[list-item]
     compiled.clear()
-    assert rows().function("rows") and not compiled and codes.told() == []
+    assert rows().function("rows") and not compiled and codes.messages() == []
 
 
 @pytest.mark.parametrize("kind", ["short", "head", "empty", "folder", "bare"])
@@ -163,11 +173,11 @@ def test_a_file_of_another_form_is_not_used(folder: Path, compiled: list[str], k
         bare = machine.object_code(row_copies.text(machine.host()), machine.host())
         path.write_bytes({"short": data[:-1], "head": data[:20], "empty": b"", "bare": bare}[kind])
     compiled.clear()
-    assert rows().function("rows") and len(compiled) == 1 and len(codes.told()) == 1
+    assert rows().function("rows") and len(compiled) == 1 and len(codes.messages()) == 1
 
 
 def test_without_objects_code_is_compiled_and_nothing_is_said(compiled: list[str]) -> None:
-    assert rows().function("rows") and len(compiled) == 1 and codes.told() == []
+    assert rows().function("rows") and len(compiled) == 1 and codes.messages() == []
 
 
 @pytest.mark.parametrize("changed", ["IR_VERSION", "ABI_VERSION", "LLVM", "passes"])
@@ -187,7 +197,7 @@ def test_code_of_another_version_is_not_used(
     object_cache.code_versions.cache_clear()
     object_cache.versions.cache_clear()
     compiled.clear()
-    assert rows().function("rows") and len(compiled) == 1 and codes.told() == []
+    assert rows().function("rows") and len(compiled) == 1 and codes.messages() == []
 
 
 def load(place: Path, monkeypatch: pytest.MonkeyPatch, number: float) -> Any:
@@ -220,10 +230,10 @@ def test_a_changed_source_is_compiled(folder: Path, compiled: list[str], tmp_pat
     assert load(place, monkeypatch, 1.0)(2.0) == 5.0 and len(compiled) == 3
 
 
-def processor(*absent: str, of: str = "x86-64-v4", **more: bool) -> Target:
+def processor(*absent: str, of: str = "x86-64-v4", **extra_features: bool) -> Target:
     """What `machine.host` gives for a processor with all features of a level but some."""
     present = {word[1:]: True for word in shipped.TARGETS[of].features.split(",") if word[0] == "+"}
-    return Target("x86_64-unknown-linux-gnu", "any", machine.named(present | more | dict.fromkeys(absent, False)))
+    return Target("x86_64-unknown-linux-gnu", "any", machine.named(present | extra_features | dict.fromkeys(absent, False)))
 
 
 def test_a_processor_gets_code_that_it_runs() -> None:
@@ -252,12 +262,12 @@ def test_an_older_processor_loads_none(folder: Path, compiled: list[str], monkey
     compile_ = machine.object_code
     monkeypatch.setattr(machine, "object_code", lambda text, target: targets.append(target) or compile_(text, target))
     monkeypatch.setattr(machine, "host", lambda: plain)
-    assert not cosines_anew().kept()
+    assert not reload_cosines().kept()
     rows()
     assert targets == [plain]
 
 
-def cosines_anew() -> Any:
+def reload_cosines() -> Any:
     codes.forget()
     return type(cosines)(cosines.part.function)
 
@@ -270,10 +280,10 @@ def test_no_operations_are_fused(name: str) -> None:
   ret <8 x double> %sum
 }
 """
-    for written in (text, f"; {machine.WHOLE}\n{text}"):
-        made = machine.assembly(written, shipped.TARGETS[name])
-        assert re.search(r"mul", made) and re.search(r"add", made) and not re.search(r"fn?m(add|la|sub)", made)
-    wide = "zmm" in made
+    for written in (text, f"; {machine.ALL_PASSES}\n{text}"):
+        assembly = machine.assembly(written, shipped.TARGETS[name])
+        assert re.search(r"mul", assembly) and re.search(r"add", assembly) and not re.search(r"fn?m(add|la|sub)", assembly)
+    wide = "zmm" in assembly
     assert wide == (name == "x86-64-v4")
 
 

@@ -20,9 +20,9 @@ from antdsl.machine_code.kernels import (
     independent,
     inlined,
     kernel,
+    nearest_integer,
     put_three,
     three,
-    whole,
 )
 from antdsl.machine_code.kernels.interpret import Interpreter
 from antdsl.machine_code.kernels.kernel import text_of
@@ -84,14 +84,14 @@ def questions(x: Array1[F64], to: Array1[F64], kinds: Array1[I32], flags: Array1
 
 @kernel
 def tables(
-    rows: Array1[I64], table: Array1[F64], shift: Array2[F32], to: Array2[F64], found: Array1[I64], begin: I64, end: I64
+    rows: Array1[I64], table: Array1[F64], shift: Array2[F32], to: Array2[F64], integers: Array1[I64], begin: I64, end: I64
 ) -> None:
     for i in independent(begin, end):
         at = rows[i]
         if at >= 0:
             a, b, c, d = consecutive(table, 4 * at, 4)
             to[0, i], to[1, i] = a + b * np.float64(shift[0, i]), c - d / np.float64(shift[1, i])
-            found[4 * i + whole(a)] = whole(b)
+            integers[4 * i + nearest_integer(a)] = nearest_integer(b)
 
 
 @kernel
@@ -104,10 +104,10 @@ def rows(
         put_three(to, i, (np.float64(x), np.float64(y) * 2.0, np.float64(z)))
         if which[i] < 0:
             continue
-        found = consecutive(table, 20 * which[i] + 4, 12)
+        values = consecutive(table, 20 * which[i] + 4, 12)
         a, b, c = three(wide, i)
-        put_three(to, i, (np.float64(found[0]) + a, np.float64(found[7]) * b, c - np.float64(found[10])))
-        if found[11] > 0:
+        put_three(to, i, (np.float64(values[0]) + a, np.float64(values[7]) * b, c - np.float64(values[10])))
+        if values[11] > 0:
             p, q, r = three(vectors, which[i])
             put_three(wide, i, (np.float64(r), np.float64(p), np.float64(q)))
 
@@ -122,13 +122,13 @@ def numbers(count: int) -> np.ndarray:
 @pytest.mark.parametrize("count", COUNTS)
 def test_turns_that_ask_leave_and_return_at_different_places(count: int) -> None:
     x = numbers(count)
-    made, plain = ((np.full(count, -7.0), np.full(count, -7, np.int32), np.ones(count, bool)) for _ in range(2))
-    questions(x, *made, 0, count)
+    kernel_results, plain = ((np.full(count, -7.0), np.full(count, -7, np.int32), np.ones(count, bool)) for _ in range(2))
+    questions(x, *kernel_results, 0, count)
     questions.part.function(x, *plain, 0, count)
-    for one, other in zip(made, plain, strict=True):
+    for one, other in zip(kernel_results, plain, strict=True):
         assert np.array_equal(one, other, equal_nan=True)
     if count > 20:
-        assert len(np.unique(made[1])) > 5 and made[2].any() and not made[2].all()
+        assert len(np.unique(kernel_results[1])) > 5 and kernel_results[2].any() and not kernel_results[2].all()
 
 
 @pytest.mark.parametrize("count", COUNTS)
@@ -137,10 +137,10 @@ def test_elements_anywhere_are_read_and_stored_for_those_that_ask(count: int) ->
     rows = rng.integers(-1, 40, count)
     table = np.stack([rng.integers(0, 4, 40), rng.integers(-9, 9, 40), *rng.normal(size=(2, 40))], axis=1).ravel()
     shift = rng.normal(size=(2, count)).astype(np.float32)
-    made, plain = ((np.zeros((2, count)), np.zeros(4 * count + 4, np.int64)) for _ in range(2))
-    tables(rows, table, shift, *made, 0, count)
+    kernel_results, plain = ((np.zeros((2, count)), np.zeros(4 * count + 4, np.int64)) for _ in range(2))
+    tables(rows, table, shift, *kernel_results, 0, count)
     tables.part.function(rows, table, shift.astype(np.float64), *plain, 0, count)
-    assert all(np.array_equal(one, other) for one, other in zip(made, plain, strict=True))
+    assert all(np.array_equal(one, other) for one, other in zip(kernel_results, plain, strict=True))
 
 
 @pytest.mark.parametrize("count", COUNTS)
@@ -150,13 +150,13 @@ def test_rows_of_three_and_of_many_are_read_and_stored_for_those_that_ask(count:
     table = rng.normal(size=20 * max(count, 1) + 4).astype(np.float32)
     vectors, wide = rng.normal(size=(count, 3)).astype(np.float32), rng.normal(size=(count, 3))
     begin = min(count, 1)
-    made, plain = ((wide.copy(), np.full((count, 3), -7.0)) for _ in range(2))
-    rows(which, table, vectors, *made, begin, count)
+    kernel_results, plain = ((wide.copy(), np.full((count, 3), -7.0)) for _ in range(2))
+    rows(which, table, vectors, *kernel_results, begin, count)
     rows.part.function(which, table.astype(np.float64), vectors, *plain, begin, count)
-    for one, other in zip(made, plain, strict=True):
+    for one, other in zip(kernel_results, plain, strict=True):
         assert np.array_equal(one, other)
     if count > 20:
-        assert (made[0] != wide).any() and (made[0] == wide).any() and (made[1][:begin] == -7).all()
+        assert (kernel_results[0] != wide).any() and (kernel_results[0] == wide).any() and (kernel_results[1][:begin] == -7).all()
 
 
 @pytest.mark.parametrize("begin", [0, 3, 8])

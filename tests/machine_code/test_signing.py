@@ -31,8 +31,8 @@ def home(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 def signature(*, create: bool = True) -> bytes | None:
     """What the user's signer makes of some code; None where there is no key."""
-    found = signing.signer(create=create)
-    return None if found is None else found.sign(KEY, b"code")
+    signer = signing.signer(create=create)
+    return None if signer is None else signer.sign(KEY, b"code")
 
 
 def test_a_key_is_created_when_something_is_signed_and_lasts() -> None:
@@ -44,17 +44,22 @@ def test_a_key_is_created_when_something_is_signed_and_lasts() -> None:
 
 
 def test_a_signature_is_of_key_and_content() -> None:
-    found = signing.signer(create=True)
-    assert found is not None
-    made = found.sign(KEY, b"code")
-    assert found.is_signed(KEY, b"code", made)
+    signer = signing.signer(create=True)
+    assert signer is not None
+    own_signature = signer.sign(KEY, b"code")
+    assert signer.is_signed(KEY, b"code", own_signature)
     other = KEY[:-1] + "0"
-    for key, data, given in ((other, b"code", made), (KEY, b"code\0", made), (KEY, b"cod", made), (KEY, b"", made)):
-        assert not found.is_signed(key, data, given)
-    for wrong in (made[:-1], made + b"\0", b"", bytes(32)):
-        assert not found.is_signed(KEY, b"code", wrong)
-    assert found.name(KEY) != found.name(other) and len(found.name(KEY)) == 64
-    assert bytes.fromhex(found.name(KEY)) != found.sign(KEY, b"")
+    for key, data, candidate in (
+        (other, b"code", own_signature),
+        (KEY, b"code\0", own_signature),
+        (KEY, b"cod", own_signature),
+        (KEY, b"", own_signature),
+    ):
+        assert not signer.is_signed(key, data, candidate)
+    for wrong in (own_signature[:-1], own_signature + b"\0", b"", bytes(32)):
+        assert not signer.is_signed(KEY, b"code", wrong)
+    assert signer.name(KEY) != signer.name(other) and len(signer.name(KEY)) == 64
+    assert bytes.fromhex(signer.name(KEY)) != signer.sign(KEY, b"")
 
 
 @pytest.mark.parametrize(
@@ -62,7 +67,7 @@ def test_a_signature_is_of_key_and_content() -> None:
 )
 @rights
 def test_a_key_that_others_may_know_or_have_made_is_replaced(home: Path, tmp_path: Path, kind: str) -> None:
-    before = signature()
+    old_signature = signature()
     path, elsewhere = signing.key_file(), tmp_path / "elsewhere"
     secret = path.read_bytes()
     if kind in ("short", "long", "empty"):
@@ -78,8 +83,8 @@ def test_a_key_that_others_may_know_or_have_made_is_replaced(home: Path, tmp_pat
         else:
             path.symlink_to({"link": elsewhere, "dangling link": tmp_path / "nowhere", "loop": path}[kind])
     assert signature(create=False) is None
-    after = signature()
-    assert after not in (None, before) and signature() == after
+    new_signature = signature()
+    assert new_signature not in (None, old_signature) and signature() == new_signature
     assert path.stat().st_mode & 0o777 == 0o600 and not path.is_symlink() and path.read_bytes() != secret
     assert not (tmp_path / "nowhere").exists()
     if elsewhere.exists():
@@ -161,14 +166,14 @@ def test_processes_that_begin_at_once_have_one_key(home: Path, before: str) -> N
     for each in all_of_them:
         each.stdin.write("x")
         each.stdin.flush()
-    found = []
+    key_texts = []
     for each in all_of_them:
         out, problems = each.communicate(timeout=120)
         assert each.returncode == 0, problems
-        found.append(out.strip())
+        key_texts.append(out.strip())
     key = signing.signer(create=False)
-    assert key is not None and key.sign("", b"").hex() in found
-    assert before == "empty" or len(set(found)) == 1
+    assert key is not None and key.sign("", b"").hex() in key_texts
+    assert before == "empty" or len(set(key_texts)) == 1
     assert [each.name for each in signing.key_file().parent.iterdir()] == ["key"]
 
 
@@ -176,8 +181,8 @@ def test_threads_that_begin_at_once_have_one_key() -> None:
     from concurrent.futures import ThreadPoolExecutor
 
     with ThreadPoolExecutor(16) as pool:
-        found = set(pool.map(lambda _: signature(), range(64)))
-    assert len(found) == 1 and None not in found
+        signatures = set(pool.map(lambda _: signature(), range(64)))
+    assert len(signatures) == 1 and None not in signatures
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="Windows has known folders instead")
@@ -188,14 +193,14 @@ def test_a_user_without_a_home_folder(monkeypatch: pytest.MonkeyPatch, tmp_path:
 
     monkeypatch.undo()
 
-    def found(number: int) -> pwd.struct_passwd:
+    def get_user(number: int) -> pwd.struct_passwd:
         if entry == "none":
             raise KeyError(number)
         home = {"relative": "home", "empty": "", "missing": str(tmp_path / "missing")}[entry]
         return pwd.struct_passwd(("user", "x", number, number, "", home, ""))
 
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(pwd, "getpwuid", found)
+    monkeypatch.setattr(pwd, "getpwuid", get_user)
     monkeypatch.setenv("HOME", str(tmp_path))
     monkeypatch.delenv(VARIABLE, raising=False)
     with pytest.raises(FileNotFoundError):

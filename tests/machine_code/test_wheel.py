@@ -60,8 +60,8 @@ def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
     environment = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
     ran = subprocess.run(command, cwd=tree, env=environment, capture_output=True, text=True)
     assert ran.returncode == 0, ran.stdout + ran.stderr
-    [made] = (tree / "made").iterdir()
-    return made
+    [wheel_path] = (tree / "made").iterdir()
+    return wheel_path
 
 
 def test_a_wheel_has_the_objects_of_all_targets(wheel: Path, tmp_path: Path) -> None:

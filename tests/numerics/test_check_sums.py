@@ -37,12 +37,16 @@ def test_it_is_that_of_zlib(products: int, monkeypatch: pytest.MonkeyPatch) -> N
     data = np.random.default_rng(1).bytes(70_000)
     finished: list[int] = []
     plain = zlib.crc32
-    monkeypatch.setattr(check_sums.zlib, "crc32", lambda part, before: finished.append(len(part)) or plain(part, before))
+    monkeypatch.setattr(
+        check_sums.zlib, "crc32", lambda part, initial_sum: finished.append(len(part)) or plain(part, initial_sum)
+    )
     for length in (length for length in LENGTHS if length >= products):
-        for before in (0, 1, 0xFFFFFFFF, 0xDEADBEEF):
+        for initial_sum in (0, 1, 0xFFFFFFFF, 0xDEADBEEF):
             start = length % 17  # also where eight bytes do not begin
-            assert crc32(memoryview(data)[start : start + length], before) == plain(data[start : start + length], before)
-            assert crc32(bytes(length), before) == plain(bytes(length), before)
+            assert crc32(memoryview(data)[start : start + length], initial_sum) == plain(
+                data[start : start + length], initial_sum
+            )
+            assert crc32(bytes(length), initial_sum) == plain(bytes(length), initial_sum)
     assert not finished  # all went the other way
 
 
@@ -54,13 +58,13 @@ def test_parts_one_after_the_other_are_the_whole(products: int) -> None:
 
 def test_every_bit_counts(products: int) -> None:
     data = bytearray(np.random.default_rng(3).bytes(300))
-    seen = {crc32(bytes(data))}
+    sums = {crc32(bytes(data))}
     for place in range(len(data)):
         for bit in range(8):
             data[place] ^= 1 << bit
-            seen.add(crc32(bytes(data)))
+            sums.add(crc32(bytes(data)))
             data[place] ^= 1 << bit
-    assert len(seen) == 1 + 8 * len(data)
+    assert len(sums) == 1 + 8 * len(data)
 
 
 @pytest.mark.parametrize("features", ["+avx2,-pclmul", "+avx2,+vpclmulqdq", ""])

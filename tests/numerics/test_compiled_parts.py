@@ -34,20 +34,20 @@ def test_parts_come_in_order_whatever_the_number_of_threads(threads: int) -> Non
         assert joined(parallel.in_parts(squares, count, threads, 4)) == squares(0, count)
 
 
-def test_parts_within_parts_wait_for_nobody() -> None:
+def test_nested_parts_do_not_wait_for_free_threads() -> None:
     """Many crowds step at once, each of whose parts asks for parts: nobody may be free to take these."""
-    found: dict[int, list[list[int]]] = {}
+    results: dict[int, list[list[int]]] = {}
 
     def crowd(number: int) -> None:
-        found[number] = parallel.in_parts(lambda a, b: joined(parallel.in_parts(squares, b - a, 2, 1)), 64, 2, 1)
+        results[number] = parallel.in_parts(lambda a, b: joined(parallel.in_parts(squares, b - a, 2, 1)), 64, 2, 1)
 
     crowds = [threading.Thread(target=crowd, args=(number,), daemon=True) for number in range(8)]
     for each in crowds:
         each.start()
     for each in crowds:
         each.join(60)
-    assert len(found) == 8
-    assert all(parts in ([squares(0, 32)] * 2, [squares(0, 64)]) for parts in found.values())
+    assert len(results) == 8
+    assert all(parts in ([squares(0, 32)] * 2, [squares(0, 64)]) for parts in results.values())
 
 
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="no fork here")
@@ -60,14 +60,14 @@ def test_a_forked_process_has_threads_of_its_own() -> None:
     assert os.waitpid(child, 0)[1] == 0
 
 
-def test_an_interrupted_part_is_told_once_all_that_have_begun_have_ended(by_two: None) -> None:
-    begun, ended = threading.Event(), []
+def test_an_interrupt_is_raised_after_all_running_parts_have_ended(by_two: None) -> None:
+    start_event, ended = threading.Event(), []
 
     def work(begin: int, end: int) -> None:
         if begin == 0:
-            begun.wait(60)
+            start_event.wait(60)
             raise KeyboardInterrupt
-        begun.set()
+        start_event.set()
         time.sleep(0.05)
         ended.append(end)
 

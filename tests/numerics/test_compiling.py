@@ -55,16 +55,16 @@ def load(folder: Path, monkeypatch: pytest.MonkeyPatch, number: float = 1.0) -> 
     return module.value
 
 
-def test_kept_kernels_are_used_until_a_number_elsewhere_changes(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    made = []
+def test_stored_kernels_are_used_until_a_number_elsewhere_changes(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    compilations = []
     compile_ = machine.object_code
-    monkeypatch.setattr(machine, "object_code", lambda *text: made.append(text) or compile_(*text))
+    monkeypatch.setattr(machine, "object_code", lambda *text: compilations.append(text) or compile_(*text))
     for number, hit in ((1.0, False), (1.0, True), (5.0, False), (5.0, True)):
         kernel = load(folder, monkeypatch, number)
         assert kernel.kept() == hit
-        made.clear()
+        compilations.clear()
         assert kernel(2.0) == 4 + 2 * number
-        assert bool(made) != hit and kernel.kept()
+        assert bool(compilations) != hit and kernel.kept()
 
 
 CHANGES: list[tuple[str, str, str, float, bool]] = [  # file, what is there, what instead; what comes out; whether of kept code

@@ -54,9 +54,9 @@ def test_limits_of_control_groups_are_read(groups: Path, own: str, limits: list[
 def test_no_more_threads_run_than_a_control_group_has_time_for(
     groups: Path, monkeypatch: pytest.MonkeyPatch, own: str, most: int
 ) -> None:
-    told = groups / "own"
-    told.write_text(own, encoding="utf-8")
-    monkeypatch.setattr(module, "OWN", told)
+    group_file = groups / "own"
+    group_file.write_text(own, encoding="utf-8")
+    monkeypatch.setattr(module, "OWN", group_file)
     monkeypatch.setattr(module, "GROUPS", groups)
     monkeypatch.setattr(os, "sched_getaffinity", lambda _: set(range(64)), raising=False)
     assert module.cores.__wrapped__() == most

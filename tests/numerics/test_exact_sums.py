@@ -28,8 +28,8 @@ def adversarial(seed: int, largest: float = 7.0) -> np.ndarray:
 def by_fractions(terms: np.ndarray, quantum: int) -> np.float32:
     """The definition, with whole numbers of any length."""
     one, most = Fraction(2) ** quantum, 2**44
-    whole = [round(Fraction(float(term)) / one) for term in terms]  # to even at a tie, as float64 does
-    return np.float32(float(sum(max(-most, min(most, n)) for n in whole) * one))
+    integers = [round(Fraction(float(term)) / one) for term in terms]  # to even at a tie, as float64 does
+    return np.float32(float(sum(max(-most, min(most, n)) for n in integers) * one))
 
 
 @pytest.mark.parametrize("quantum", QUANTA)
@@ -53,14 +53,14 @@ def test_sums_beyond_what_one_word_holds_are_exact_too(quantum: int):
         expected = by_fractions(terms, quantum)
         for _ in range(10):
             order = rng.permutation(len(terms))
-            found = exact_sums.sums(np.ones(len(terms), np.intp), terms[order], quantum, 3)
-            assert found[1].tobytes() == expected.tobytes() and found[0] == found[2] == 0
+            totals = exact_sums.sums(np.ones(len(terms), np.intp), terms[order], quantum, 3)
+            assert totals[1].tobytes() == expected.tobytes() and totals[0] == totals[2] == 0
 
 
 def test_a_sum_with_nan_is_nan_and_only_that_one():
     terms = np.array([1.0, np.nan, 2.0, np.inf], np.float32)
-    found = exact_sums.sums(np.array([0, 1, 0, 2]), terms, -24, 3)
-    assert found[0] == 3 and np.isnan(found[1]) and found[2] == 2.0**20
+    totals = exact_sums.sums(np.array([0, 1, 0, 2]), terms, -24, 3)
+    assert totals[0] == 3 and np.isnan(totals[1]) and totals[2] == 2.0**20
 
 
 # The numbers are those of `adversarial`, made in the language: large ones in pairs that cancel, then small ones of both signs.
@@ -94,14 +94,18 @@ state t { when false -> s } }"""
 
 
 def test_reductions_of_a_program_are_the_same_in_any_order_of_rows():
-    ways = (Options(), *(Options(shuffle_rows=seed) for seed in range(1, 7)), Options(chunk=333, shuffle_rows=8, threads=2))
-    seen = play(TEXT % ((COUNT * 9 // 10,) * 2), crowd(3), crowd(COUNT, "b", radius=300), ways=ways)
-    assert 0 < abs(seen["all_of"][0]) < 1e-4
-    assert seen["most"][0] > 1e6 and seen["least"][0] < -1e6
+    option_sets = (
+        Options(),
+        *(Options(shuffle_rows=seed) for seed in range(1, 7)),
+        Options(chunk=333, shuffle_rows=8, threads=2),
+    )
+    history = play(TEXT % ((COUNT * 9 // 10,) * 2), crowd(3), crowd(COUNT, "b", radius=300), option_sets=option_sets)
+    assert 0 < abs(history["all_of"][0]) < 1e-4
+    assert history["most"][0] > 1e6 and history["least"][0] < -1e6
 
 
 def test_the_reference_adds_the_same(monkeypatch: pytest.MonkeyPatch):
     few = COUNT // 5
-    ways = (Options(), Options(backend="reference"), Options(backend="reference", shuffle_rows=1))
-    seen = play(TEXT % ((few * 9 // 10,) * 2), crowd(1), crowd(few, "b", radius=300), ways=ways)
-    assert 0 < abs(seen["all_of"][0]) < 1e-4
+    option_sets = (Options(), Options(backend="reference"), Options(backend="reference", shuffle_rows=1))
+    history = play(TEXT % ((few * 9 // 10,) * 2), crowd(1), crowd(few, "b", radius=300), option_sets=option_sets)
+    assert 0 < abs(history["all_of"][0]) < 1e-4

@@ -47,7 +47,7 @@ def hosted(bits: int, work: Callable[[], Any]) -> Any:
     """What a thread of a host gives that has such bits set; they are still set when the work is done."""
     if not machine.host().x86:
         pytest.skip("the bits are those of x86")
-    found: list[Any] = []
+    outcomes: list[Any] = []
     code = machine.load(machine.object_code(X86, machine.host()))
 
     def run() -> None:
@@ -56,16 +56,16 @@ def hosted(bits: int, work: Callable[[], Any]) -> Any:
             assert not is_standard()
             result = work()
             assert not is_standard()
-            found.append(result)
+            outcomes.append(result)
         except BaseException as problem:
-            found.append(problem)
+            outcomes.append(problem)
 
     thread = threading.Thread(target=run)
     thread.start()
     thread.join()
-    if isinstance(found[0], BaseException):
-        raise found[0]
-    return found[0]
+    if isinstance(outcomes[0], BaseException):
+        raise outcomes[0]
+    return outcomes[0]
 
 
 @pytest.mark.parametrize("bits", HOSTS.values(), ids=HOSTS)
@@ -73,30 +73,30 @@ def test_within_standard_a_thread_works_as_the_standard_says(bits: int) -> None:
     small, third = np.full(99, 1e-45, np.float32), np.full(99, -3.0, np.float32)
 
     def work() -> tuple[bytes, bytes]:
-        before = (small * small.dtype.type(1)).tobytes() + (1 / third).tobytes()
+        host_bytes = (small * small.dtype.type(1)).tobytes() + (1 / third).tobytes()
         with standard():
             assert is_standard()
             within = (small * small.dtype.type(1)).tobytes() + (1 / third).tobytes()
-        return before, within
+        return host_bytes, within
 
-    before, within = hosted(bits, work)
-    assert within == small.tobytes() + (1 / third).tobytes() != before
+    host_bytes, within = hosted(bits, work)
+    assert within == small.tobytes() + (1 / third).tobytes() != host_bytes
     assert hosted(bits, lambda: threading_is_standard(be_standard)) is True
 
 
 def threading_is_standard(begin: Callable[[], None]) -> bool:
     """Whether a thread that begins so works as the standard says; it takes over what the one has that begins it."""
-    found = []
+    answers = []
 
     def run() -> None:
         assert not is_standard()
         begin()
-        found.append(is_standard())
+        answers.append(is_standard())
 
     thread = threading.Thread(target=run)
     thread.start()
     thread.join()
-    return found == [True]
+    return answers == [True]
 
 
 @pytest.mark.parametrize("bits", HOSTS.values(), ids=HOSTS)
@@ -110,10 +110,10 @@ def test_machine_code_works_as_the_standard_says(bits: int) -> None:
   store <8 x float> %parts, ptr %first, align 4"""
     module.functions["thirds"] = entry(module, "thirds", body)
     code = machine.load(machine.object_code(module.text(), machine.host()))
-    given = np.array([1e-44, -1e-40, 1.0, -2.0, 1e-38, -3.0, 7e-45, -10.0], np.float32)
+    inputs = np.array([1e-44, -1e-40, 1.0, -2.0, 1e-38, -3.0, 7e-45, -10.0], np.float32)
 
     def work() -> bytes:
-        values = given.copy()
+        values = inputs.copy()
         pointers = np.array([values.ctypes.data], np.int64)
         code.function("thirds")(pointers.ctypes.data, 0, 8)
         return values.tobytes()
@@ -154,14 +154,14 @@ def run(plan: ir.Plan, backend: str, threads: int, steps: int = 6) -> list[str]:
     """The states of a crowd whose values become denormal, then zero."""
     options = Options(backend=backend, threads=threads, chunk=40, wait_for_code=True)  # type: ignore[arg-type]
     world = bind(plan, Setting(fps=Fraction(10), crowds=(crowd(90, radius=40),)), options)
-    found, denormal = [state_hash(world)], False
+    hashes, denormal = [state_hash(world)], False
     for _ in range(steps):
         step(world)
-        found.append(state_hash(world))
+        hashes.append(state_hash(world))
         bits = np.abs(world.populations["a"].now["low"]).view(np.int32)
         denormal |= bool(((bits > 0) & (bits < 0x800000)).any())
     assert denormal
-    return found
+    return hashes
 
 
 @pytest.mark.parametrize(

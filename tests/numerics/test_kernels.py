@@ -79,7 +79,7 @@ def loops(x: Array1[F64], k: I64, out: Array1[F64]) -> tuple[I64, F64]:
 
 
 @kernel
-def whole(a: Array1[I64], b: Array1[I64], small: Array1[I16], tiny: Array1[U8], out: Array2[I64]) -> None:
+def integers(a: Array1[I64], b: Array1[I64], small: Array1[I16], tiny: Array1[U8], out: Array2[I64]) -> None:
     for i in range(a.size):
         out[i, 0], out[i, 1] = a[i] // b[i], a[i] % b[i]
         out[i, 2] = (a[i] >> 3) ^ (b[i] & 255) | 4
@@ -98,23 +98,23 @@ def unsigned(a: Array1[U64], out: Array1[U64]) -> U64:
 
 @kernel
 def floats(x: Array1[F32], y: Strided2[F64], good: Array1[BOOL], out: Array1[F32]) -> BOOL:
-    some = False
+    any_good = False
     for i in range(x.size):
         good[i] = (np.isfinite(x[i]) and np.float64(x[i]) > y[0, i]) or y[1, i] < 0
-        some |= good[i]
+        any_good |= good[i]
         out[i] = np.sqrt(abs(x[i])) * np.float32(0.1) + np.floor(x[i])
-    return some
+    return any_good
 
 
 @kernel
 def nested(both: Nested, at: Array1[I32]) -> F64:
     (one, other), count = both
-    room = scratch(8, F64)
+    buffer = scratch(8, F64)
     for i in range(count):
-        room[i] = one[at[i]] + other[i]
+        buffer[i] = one[at[i]] + other[i]
     total = 0.0
     for i in range(count):
-        total += min(max(room[i], -1.0), 1.0)
+        total += min(max(buffer[i], -1.0), 1.0)
     return as_float(as_bits(total))
 
 
@@ -133,22 +133,22 @@ def beside(x: Array1[F64], out: Array1[F64]) -> None:
         out[i] = v + series(v, SERIES)
 
 
-def both(made: Any, *arguments: Any) -> tuple[list[Any], Any, list[Any], Any]:
+def both(tested_kernel: Any, *arguments: Any) -> tuple[list[Any], Any, list[Any], Any]:
     """What is left of the arguments, and what is given back, compiled and plainly."""
-    found = []
-    for run in (made, made.part.function):
+    results = []
+    for run in (tested_kernel, tested_kernel.part.function):
         own = [each.copy() if isinstance(each, np.ndarray) else each for each in arguments]
         with np.errstate(all="ignore"):
-            found += [own, run(*own)]
-    return found[0], found[1], found[2], found[3]
+            results += [own, run(*own)]
+    return results[0], results[1], results[2], results[3]
 
 
-def same(made: Any, *arguments: Any) -> None:
-    left, given, plain, wanted = both(made, *arguments)
+def same(tested_kernel: Any, *arguments: Any) -> None:
+    left, result, plain, plain_result = both(tested_kernel, *arguments)
     for a, b in zip(left, plain, strict=True):
         if isinstance(a, np.ndarray):
             assert np.array_equal(a, b, equal_nan=a.dtype.kind == "f")
-    assert given == wanted
+    assert result == plain_result
 
 
 @pytest.mark.parametrize("size", [0, 1, 7, 8, 9, 100])
@@ -159,7 +159,7 @@ def test_kernels_do_what_the_function_does(size: int) -> None:
     same(beside, np.abs(x) * 100, np.zeros(size))
     a, b = draw.integers(-(1 << 40), 1 << 40, (2, size))
     small, tiny = draw.integers(-300, 300, size).astype(np.int16), draw.integers(0, 255, size).astype(np.uint8)
-    same(whole, a, np.where(b == 0, 1, b >> 20 | 1), small, tiny, np.zeros((size, 4), np.int64))
+    same(integers, a, np.where(b == 0, 1, b >> 20 | 1), small, tiny, np.zeros((size, 4), np.int64))
     same(unsigned, draw.integers(0, 1 << 63, size).astype(np.uint64) * np.uint64(2), np.zeros(size, np.uint64))
     odd = x.astype(np.float32)
     odd[::5] = np.nan
@@ -253,7 +253,7 @@ def test_literals_take_the_type_of_the_other_number() -> None:
 
 
 @pytest.mark.parametrize("made", NOT_IN_SUBSET, ids=lambda each: str(each.__name__))
-def test_what_is_not_in_the_subset_is_told_with_its_line(made: Any) -> None:
+def test_code_outside_the_subset_is_reported_with_its_line(made: Any) -> None:
     with pytest.raises(NotInSubset, match=f"line [0-9]+, `{made.__name__}`"):
         made.text()
 

@@ -13,17 +13,17 @@ from antdsl.numerics.near_pairs import pairs_between, pairs_within
 from antdsl.scene.geometry.live_faces import components
 
 
-def places(count: int, size: float, seed: int = 0) -> np.ndarray:
+def random_points(count: int, size: float, seed: int = 0) -> np.ndarray:
     """Random places, a third of them on a lattice, where some are at one place."""
-    found = np.random.default_rng(seed).uniform(-size, size, (count, 3))
-    found[::3] = np.round(found[::3], 1)
-    return found
+    points = np.random.default_rng(seed).uniform(-size, size, (count, 3))
+    points[::3] = np.round(points[::3], 1)
+    return points
 
 
 @pytest.mark.parametrize("count", [0, 1, 2, 700])
 @pytest.mark.parametrize("reach", [0.01, 0.1, 0.35])
 def test_pairs_are_those_of_a_tree(count: int, reach: float, monkeypatch: pytest.MonkeyPatch) -> None:
-    own, others = places(count, 1.0), places(count // 2, 1.1, 1)
+    own, others = random_points(count, 1.0), random_points(count // 2, 1.1, 1)
     expected = cKDTree(own).query_pairs(reach) if count else set()
     between = (
         {(i, j) for i, row in enumerate(cKDTree(own).query_ball_tree(cKDTree(others), reach)) for j in row}
@@ -44,7 +44,7 @@ def test_pairs_as_far_apart_as_the_reach_count() -> None:
 
 
 def test_cells_too_many_to_number_find_the_same_pairs() -> None:
-    far = np.concatenate([places(50, 1.0), places(50, 1.0) + 1e13])
+    far = np.concatenate([random_points(50, 1.0), random_points(50, 1.0) + 1e13])
     one, two = pairs_within(far, 1e-3)
     assert sorted(zip(one.tolist(), two.tolist(), strict=True)) == sorted(cKDTree(far).query_pairs(1e-3))
 

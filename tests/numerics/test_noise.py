@@ -15,14 +15,14 @@ from antdsl.runtime.faults import FaultStop
 RNG = np.random.default_rng(3)
 
 
-def at(places: np.ndarray, seed: int = 0) -> np.ndarray:
-    return noise(places, np.full(places.shape[1], seed, np.int64))
+def at(points: np.ndarray, seed: int = 0) -> np.ndarray:
+    return noise(points, np.full(points.shape[1], seed, np.int64))
 
 
 def test_values_lie_within_one_and_about_zero() -> None:
-    found = at(RNG.uniform(-500, 500, (4, 40_000)))
-    assert -1 < found.min() < -0.5 and 0.5 < found.max() < 1
-    assert abs(found.mean()) < 0.01 and 0.1 < found.std() < 0.4
+    values = at(RNG.uniform(-500, 500, (4, 40_000)))
+    assert -1 < values.min() < -0.5 and 0.5 < values.max() < 1
+    assert abs(values.mean()) < 0.01 and 0.1 < values.std() < 0.4
     assert (at(RNG.integers(-90, 90, (4, 500)).astype(float)) == 0).all()  # at the points of the lattice
 
 
@@ -47,8 +47,8 @@ def test_the_fade_is_level_at_both_ends() -> None:
 
 
 def test_seeds_give_patterns_that_have_nothing_in_common() -> None:
-    places = RNG.uniform(-500, 500, (4, 20_000))
-    one, other, same = at(places, 1), at(places, 2), at(places, 1)
+    points = RNG.uniform(-500, 500, (4, 20_000))
+    one, other, same = at(points, 1), at(points, 2), at(points, 1)
     assert np.array_equal(one, same)
     assert abs(np.corrcoef(one, other)[0, 1]) < 0.03
 
@@ -129,5 +129,5 @@ def test_the_checks_know_where_it_lies() -> None:
 
     species = program_of("species ant {\n  mood = noise(20 mm)\n  start go\n  state go { mood = noise(20 mm) * 2 }\n}\n").species
     stored = species["ant"].machines[0].states[0].body[0]
-    found = range_of(stored.value, {}, {})  # type: ignore[union-attr]
-    assert (found.low, found.high) == (-2, 2)
+    bounds = range_of(stored.value, {}, {})  # type: ignore[union-attr]
+    assert (bounds.low, bounds.high) == (-2, 2)

@@ -33,9 +33,9 @@ def test_rows_are_picked(threads: int, count: int) -> None:
     of = arrays(COUNT)
     rows = np.repeat(np.random.default_rng(1).permutation(COUNT), 2)[::2][:count]  # not in one piece
     to = [np.zeros((count + 1, *each.shape[1:]), each.dtype) for each in of]
-    pick([(room[:count], each) for room, each in zip(to, of, strict=True)], rows, threads)
-    for room, each in zip(to, of, strict=True):
-        assert np.array_equal(room[:count], each[rows]) and not room[count].any()
+    pick([(target[:count], each) for target, each in zip(to, of, strict=True)], rows, threads)
+    for target, each in zip(to, of, strict=True):
+        assert np.array_equal(target[:count], each[rows]) and not target[count].any()
 
 
 def test_rows_are_copied_time_after_time_and_to_other_arrays(threads: int) -> None:
@@ -59,7 +59,9 @@ def test_rows_are_copied_time_after_time_and_to_other_arrays(threads: int) -> No
 
 def test_where_arrays_lie_is_looked_up_once(threads: int, monkeypatch: pytest.MonkeyPatch) -> None:
     looked = []
-    monkeypatch.setattr(row_copies, "_table", lambda *given, table=row_copies._table: looked.append(given) or table(*given))
+    monkeypatch.setattr(
+        row_copies, "_table", lambda *arguments, table=row_copies._table: looked.append(arguments) or table(*arguments)
+    )
     copies, of = RowCopies(), arrays(COUNT)
     to = [np.zeros_like(each) for each in of]
     for _ in range(3):

@@ -31,7 +31,7 @@ def hashed_rows(ids: np.ndarray, columns: dict[str, np.ndarray]) -> bytes:
 
 def by_definition(ids: NDArray[np.int64] | None, columns: list[NDArray[np.generic]]) -> bytes:
     """The hash of rows in whole numbers of Python, row after row."""
-    count, whole = len(columns[0]) if ids is None else len(ids), (1 << 64) - 1
+    count, mask = len(columns[0]) if ids is None else len(ids), (1 << 64) - 1
     halves: list[list[tuple[int, int]]] = [[] for _ in range(count)]
     for row in range(count):
         number = row if ids is None else int(ids[row])
@@ -57,11 +57,11 @@ def by_definition(ids: NDArray[np.int64] | None, columns: list[NDArray[np.generi
             for place, (a, b) in enumerate(halves[row]):
                 one, two = row_hash.keys(place)[2 * lane : 2 * lane + 2].tolist()
                 total += ((a + one) & 0xFFFFFFFF) * ((b + two) & 0xFFFFFFFF)
-            h = total & whole
-            h = (h ^ h >> 33) * 0xFF51AFD7ED558CCD & whole
-            h = (h ^ h >> 33) * 0xC4CEB9FE1A85EC53 & whole
+            h = total & mask
+            h = (h ^ h >> 33) * 0xFF51AFD7ED558CCD & mask
+            h = (h ^ h >> 33) * 0xC4CEB9FE1A85EC53 & mask
             sums[lane] += h ^ h >> 33
-    return b"".join((each & whole).to_bytes(8, "little") for each in sums)
+    return b"".join((each & mask).to_bytes(8, "little") for each in sums)
 
 
 @pytest.mark.parametrize("count", [0, 1, 2, 5, 31, 32, 33, 500])
@@ -69,26 +69,26 @@ def test_the_hash_is_that_of_its_definition(count: int) -> None:
     ids, columns = table(count)
     parts = [part for column in columns.values() for part in column.reshape(-1, count)] if count else []
     assert row_hash.row_hash(ids, parts) == by_definition(ids, parts)
-    some = [columns["f8"], columns["f4"]]
-    assert row_hash.row_hash(None, some) == by_definition(None, some)
+    subset = [columns["f8"], columns["f4"]]
+    assert row_hash.row_hash(None, subset) == by_definition(None, subset)
 
 
 def test_the_order_of_rows_and_how_arrays_lie_change_nothing() -> None:
     ids, columns = table(16_484)
-    whole = hashed_rows(ids, columns)
+    expected_hash = hashed_rows(ids, columns)
     order = np.random.default_rng(1).permutation(len(ids))
-    assert hashed_rows(ids[order], {name: array[..., order] for name, array in columns.items()}) == whole
-    assert hashed_rows(ids, {name: np.asfortranarray(array) for name, array in columns.items()}) == whole
+    assert hashed_rows(ids[order], {name: array[..., order] for name, array in columns.items()}) == expected_hash
+    assert hashed_rows(ids, {name: np.asfortranarray(array) for name, array in columns.items()}) == expected_hash
 
 
 def test_every_change_is_seen() -> None:
     ids, columns = table(9)
-    seen = {hashed_rows(ids, columns)}
+    hashes = {hashed_rows(ids, columns)}
 
     def differs(ids: NDArray[np.int64], columns: Columns) -> None:
-        found = hashed_rows(ids, columns)
-        assert found not in seen
-        seen.add(found)
+        new_hash = hashed_rows(ids, columns)
+        assert new_hash not in hashes
+        hashes.add(new_hash)
 
     for name, array in columns.items():
         raw = np.ascontiguousarray(array).view(np.uint8).reshape(-1)
@@ -99,9 +99,9 @@ def test_every_change_is_seen() -> None:
             changed[bit // 8] ^= 1 << bit % 8
             differs(ids, columns | {name: changed.view(array.dtype).reshape(array.shape)})
     for one in range(len(ids)):
-        more = ids.copy()
-        more[one] += 1
-        differs(more, columns)
+        changed_ids = ids.copy()
+        changed_ids[one] += 1
+        differs(changed_ids, columns)
     swapped = np.arange(9)
     swapped[[2, 6]] = swapped[[6, 2]]
     differs(ids[swapped], columns)  # two agents change all that they are
@@ -116,12 +116,12 @@ def test_every_change_is_seen() -> None:
 
 def test_tables_that_differ_little_have_numbers_that_differ_much() -> None:
     """Of 4,000 tables that count up no two agree, in neither half; each bit is set in about half of them."""
-    found = [
+    hashes = [
         row_hash.row_hash(np.zeros(1, np.int64), [np.array([k % 100]), np.array([k // 100], np.int32)]) for k in range(4_000)
     ]
-    halves = np.frombuffer(b"".join(found), np.uint64).reshape(-1, 2)
+    halves = np.frombuffer(b"".join(hashes), np.uint64).reshape(-1, 2)
     assert all(len(np.unique(half)) == 4_000 for half in halves.T)
-    share = np.unpackbits(np.frombuffer(b"".join(found), np.uint8).reshape(-1, 16), axis=1).mean(axis=0)
+    share = np.unpackbits(np.frombuffer(b"".join(hashes), np.uint8).reshape(-1, 16), axis=1).mean(axis=0)
     assert np.abs(share - 0.5).max() < 0.04
 
 
@@ -167,7 +167,7 @@ def test_tables_that_lie_elsewhere_time_after_time_have_the_hash_of_their_rows()
 
 
 def test_a_column_of_one_row_lies_in_one_piece_and_one_of_more_with_its_step_may_not() -> None:
-    places, known = np.arange(15.0).reshape(5, 3), row_hash.RowHash()
+    matrix, known = np.arange(15.0).reshape(5, 3), row_hash.RowHash()
     for count in (1, 5, 1, 3):
-        columns = [places[:count, 0]]
+        columns = [matrix[:count, 0]]
         assert known.of(np.arange(count), columns) == row_hash.row_hash(np.arange(count), columns)

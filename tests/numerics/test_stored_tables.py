@@ -61,11 +61,11 @@ def arrays(mesh: Mesh) -> list[NDArray[np.generic]]:
     assert grid is not None
     cells = SurfaceCells([mesh], 3.0)
     plain = [getattr(table, each.name) for each in fields(table) if each.name != "cuts"]
-    rises, parts = (
+    rise_map, parts = (
         RiseMap(corners, table, []),
         Clearances(corners, table.piece, table.cuts.cut, mesh[0].min(axis=0), 0.0).within(9.0),
     )
-    other = [table.cuts.first, table.cuts.other, rises._clear, rises._creases._within(4), DistanceGrid(corners)._least]
+    other = [table.cuts.first, table.cuts.other, rise_map._clear, rise_map._creases._within(4), DistanceGrid(corners)._least]
     other += [parts.first, parts.count, parts.least, cells.nearest(7), np.array(border_edges(MeshData(*mesh)))]
     return [np.asarray(each) for each in [*plain, *other, *grid.tables, cells._keys, cells.position, cells.normal]]
 
@@ -94,11 +94,11 @@ def test_stored_tables_have_the_bits_of_computed_ones(folder: Path, monkeypatch:
 
 def test_stored_arrays_belong_to_the_caller(folder: Path) -> None:
     mesh = hills(75)
-    before = topology(mesh).normal.copy()
+    expected_normals = topology(mesh).normal.copy()
     for _ in range(2):
         table = topology(mesh)
         table.normal[:] = 7.0
-    assert (topology(mesh).normal == before).all()
+    assert (topology(mesh).normal == expected_normals).all()
 
 
 def test_small_meshes_are_not_stored(folder: Path) -> None:
@@ -113,7 +113,7 @@ def test_what_is_damaged_is_computed_again(folder: Path, harm: str, tmp_path: Pa
     mesh, begin = hills(75), stored_tables.computed()
     table = topology(mesh)
     (file,) = folder.iterdir()
-    whole = data = file.read_bytes()
+    original = data = file.read_bytes()
     if harm == "a bit":
         data = data[:-9] + bytes([data[-9] ^ 1]) + data[-8:]
     elif harm in ("short", "empty", "long"):
@@ -124,7 +124,7 @@ def test_what_is_damaged_is_computed_again(folder: Path, harm: str, tmp_path: Pa
         begin += 1
     file.unlink()
     if harm == "a link":
-        (tmp_path / "elsewhere").write_bytes(whole)
+        (tmp_path / "elsewhere").write_bytes(original)
         file.symlink_to(tmp_path / "elsewhere")
     else:
         file.write_bytes(data)
@@ -132,7 +132,7 @@ def test_what_is_damaged_is_computed_again(folder: Path, harm: str, tmp_path: Pa
     again = topology(mesh)
     assert stored_tables.computed() == begin + 2
     assert again.link.tobytes() == table.link.tobytes() and again.smooth.tobytes() == table.smooth.tobytes()
-    assert file.read_bytes() == whole and not file.is_symlink()
+    assert file.read_bytes() == original and not file.is_symlink()
 
 
 @pytest.mark.parametrize(
@@ -150,10 +150,10 @@ def test_what_is_damaged_is_computed_again(folder: Path, harm: str, tmp_path: Pa
 )
 def test_signed_nonsense_is_not_used(folder: Path, data: bytes) -> None:
     inputs = (np.arange(4.0), 2.0)
-    made = {"link": np.arange(7)}
+    computed_arrays = {"link": np.arange(7)}
     stored_tables._store().put(stored_tables._key("some", inputs), data)
     begin = stored_tables.computed()
-    assert stored("some", LEAST, inputs, lambda: made)["link"] is made["link"]
+    assert stored("some", LEAST, inputs, lambda: computed_arrays)["link"] is computed_arrays["link"]
     assert stored("some", LEAST, inputs, dict)["link"].tolist() == list(range(7))
     assert stored_tables.computed() == begin + 1
 

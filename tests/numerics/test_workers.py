@@ -40,9 +40,9 @@ def squared(x: Array1[F64], out: Array1[F64], times: Array1[I64], begin: I64, en
 
 @kernel
 def in_rooms(rooms: Array1[I64], count: I64, begin: I64, end: I64) -> I64:
-    room = own(begin, count, rooms.size)
-    rooms[room] += end - begin
-    return room
+    slot = own(begin, count, rooms.size)
+    rooms[slot] += end - begin
+    return slot
 
 
 @kernel
@@ -54,10 +54,10 @@ def nothing(begin: I64, end: I64) -> None:
 def many(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     """As on a machine of eight cores."""
     monkeypatch.setattr(parallel, "cores", lambda: 8)
-    before = dict(workers._kept)
+    previous_pools = dict(workers._pools)
     yield
-    for key in [key for key in workers._kept if key not in before]:
-        workers._kept.pop(key).end()
+    for key in [key for key in workers._pools if key not in previous_pools]:
+        workers._pools.pop(key).end()
 
 
 def arrays(count: int) -> tuple[Any, ...]:
@@ -65,15 +65,15 @@ def arrays(count: int) -> tuple[Any, ...]:
 
 
 @pytest.mark.parametrize("threads", THREADS)
-def test_parts_of_a_kernel_are_done_once_and_told_in_order(threads: int) -> None:
+def test_kernel_parts_run_once_and_are_returned_in_order(threads: int) -> None:
     for count in (0, 1, 2, 15, 16, 17, 100, 1_000, 4_097):
         x, out, times = arrays(count)
-        found = parallel.in_parts(partial(squared, x, out, times), count, threads, 1)
+        results = parallel.in_parts(partial(squared, x, out, times), count, threads, 1)
         assert np.array_equal(out, x * x) and (times == 1).all()
-        assert sum(total for _, total, _ in found) == x.sum()
-        assert [begin for _, _, begin in found] == [0, *np.cumsum([many for many, _, _ in found])[:-1]]
-        assert len(found) == (1 if threads == 1 else max(1, min(count // 16, 4 * threads)))
-        assert count == 0 or all(many for many, _, _ in found)
+        assert sum(total for _, total, _ in results) == x.sum()
+        assert [begin for _, _, begin in results] == [0, *np.cumsum([many for many, _, _ in results])[:-1]]
+        assert len(results) == (1 if threads == 1 else max(1, min(count // 16, 4 * threads)))
+        assert count == 0 or all(many for many, _, _ in results)
 
 
 @pytest.mark.parametrize("threads", THREADS)
@@ -133,7 +133,7 @@ def test_many_of_python_ask_at_once_and_within_parts() -> None:
 
 
 @pytest.mark.parametrize("threads", (2, 3, 7))
-def test_the_first_part_that_fails_is_told_and_all_begun_have_ended(threads: int) -> None:
+def test_the_first_failing_part_raises_after_all_running_parts_have_ended(threads: int) -> None:
     at_work: list[int] = []
 
     def work(begin: int, end: int) -> int:
@@ -154,19 +154,19 @@ def test_the_first_part_that_fails_is_told_and_all_begun_have_ended(threads: int
 
 @pytest.mark.parametrize("begun", (False, True))
 def test_who_is_interrupted_as_a_job_starts_waits_for_what_has_begun(begun: bool) -> None:
-    pool, came = workers.Workers(2), threading.Event()
+    pool, start_event = workers.Workers(2), threading.Event()
     start = pool._start
     at_work, ended = [], []
 
     def interrupted(*words: int) -> None:
         if begun:
             start(*words)
-            came.wait(60)
+            start_event.wait(60)
         raise KeyboardInterrupt
 
     def work(number: int) -> None:
         at_work.append(number)
-        came.set()
+        start_event.set()
         time.sleep(0.05)
         ended.append(number)
 
@@ -181,12 +181,14 @@ def test_who_is_interrupted_as_a_job_starts_waits_for_what_has_begun(begun: bool
 
 
 def test_functions_of_machine_code_are_called_with_each_row() -> None:
-    room = np.zeros(8, np.int64)  # `turns` reads one word, and only waits
+    buffer = np.zeros(8, np.int64)  # `turns` reads one word, and only waits
     for count in (1, 3, PARTS, 3 * PARTS + 5):
-        parallel.listed(workers_text.code().function("turns"), np.array([(room.ctypes.data, 3, 0)] * count, np.int64), 3)
-    pool = workers._kept[3]
+        parallel.listed(workers_text.code().function("turns"), np.array([(buffer.ctypes.data, 3, 0)] * count, np.int64), 3)
+    pool = workers._pools[3]
     assert isinstance(pool, workers.Workers)
-    assert pool._words[workers_text.DONE] == pool._words[workers_text.OF] == 5 and not pool._words[workers_text.LEFT] % 2**32
+    assert (
+        pool._words[workers_text.DONE_COUNT] == pool._words[workers_text.OF] == 5 and not pool._words[workers_text.LEFT] % 2**32
+    )
 
 
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="no fork here")
@@ -242,21 +244,21 @@ def test_a_program_ends_whatever_its_threads_are_at(how: str, status: int) -> No
 
 def test_without_machine_code_an_executor_does_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(workers, "possible", lambda: False)
-    monkeypatch.setattr(workers, "_kept", {})
+    monkeypatch.setattr(workers, "_pools", {})
     x, out, times = arrays(1_000)
     for threads in THREADS:
-        found = parallel.in_parts(partial(squared, x, out, times), 1_000, threads, 10)
-        assert sum(total for _, total, _ in found) == x.sum()
+        results = parallel.in_parts(partial(squared, x, out, times), 1_000, threads, 10)
+        assert sum(total for _, total, _ in results) == x.sum()
         with pytest.raises(ZeroDivisionError):
             parallel.in_parts(lambda a, b: 1 // a, 1_000, threads, 10)
-    assert (times == len(THREADS)).all() and isinstance(workers._kept[2], workers.Executed)
+    assert (times == len(THREADS)).all() and isinstance(workers._pools[2], workers.Executed)
 
 
 @pytest.mark.parametrize("pool", [workers.Workers, workers.Executed])
 def test_an_interrupt_leaves_the_pool_to_others_wherever_it_comes(pool: Any) -> None:
     """CPython raises it where a function begins, and in a call that is over: also in the one that takes the pool."""
-    asked, code = workers._asked, workers._asked.__code__
-    pool, came = pool(1), 0
+    ask, code = workers._run_exclusively, workers._run_exclusively.__code__
+    pool, interrupt_count = pool(1), 0
 
     def interrupted(at: int) -> bool:
         passed = iter(range(10_000))
@@ -266,21 +268,21 @@ def test_an_interrupt_leaves_the_pool_to_others_wherever_it_comes(pool: Any) -> 
             if ((own and event in ("call", "c_return")) or (called and event == "return")) and next(passed) == at:
                 raise KeyboardInterrupt
 
-        before = sys.getprofile()
+        previous_profiler = sys.getprofile()
         sys.setprofile(look)
         try:
-            assert asked(pool, lambda: "together", lambda: "alone") == "together"
+            assert ask(pool, lambda: "together", lambda: "alone") == "together"
         except KeyboardInterrupt:
             return True
         finally:
-            sys.setprofile(before)
+            sys.setprofile(previous_profiler)
         return False
 
-    while interrupted(came):
-        came += 1
-        assert asked(pool, lambda: "together", lambda: "alone") == "together"
-    assert came >= 3  # as it begins, once it is noted who asks, and after the work
-    assert asked(pool, lambda: asked(pool, lambda: "together", lambda: "alone"), lambda: "nobody") == "alone"
+    while interrupted(interrupt_count):
+        interrupt_count += 1
+        assert ask(pool, lambda: "together", lambda: "alone") == "together"
+    assert interrupt_count >= 3  # as it begins, once it is noted who asks, and after the work
+    assert ask(pool, lambda: ask(pool, lambda: "together", lambda: "alone"), lambda: "nobody") == "alone"
     pool.end()
 
 
@@ -289,6 +291,6 @@ def test_each_part_has_a_room_of_its_own(threads: int) -> None:
     for count in (1, 15, 16, 17, 100, 129, 500, 5_001, 100_003):
         for least in (16, 64, 1_000):
             rooms = np.zeros(parallel.parts(count, threads, least), np.int64)
-            found = parallel.in_parts(partial(in_rooms, rooms, count), count, threads, least)
-            assert len(set(found)) == len(found) <= len(rooms) and rooms.sum() == count
-            assert len(found) == len(rooms)
+            slots = parallel.in_parts(partial(in_rooms, rooms, count), count, threads, least)
+            assert len(set(slots)) == len(slots) <= len(rooms) and rooms.sum() == count
+            assert len(slots) == len(rooms)

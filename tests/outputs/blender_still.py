@@ -19,9 +19,9 @@ instances, colours = [], set()
 for each in drawn.object_instances:
     if each.is_instance:
         instances.append(list(each.matrix_world.translation))
-        shown = each.object.data.attributes.get("displayColor")
-        if shown is not None and len(shown.data):
-            colours.add(tuple(round(part, 3) for part in list(shown.data[0].color)[:3]))
+        colour_attribute = each.object.data.attributes.get("displayColor")
+        if colour_attribute is not None and len(colour_attribute.data):
+            colours.add(tuple(round(part, 3) for part in list(colour_attribute.data[0].color)[:3]))
 items = {
     each.name: list(each.matrix_world.translation) for each in bpy.data.objects if each.parent and each.parent.name == "items"
 }
@@ -44,7 +44,7 @@ scene.render.use_motion_blur, scene.render.motion_blur_shutter = True, 0.5
 scene.view_settings.view_transform = "Standard"
 scene.render.filepath = picture
 bpy.ops.render.render(write_still=True)
-made = bpy.data.images.load(picture)
-values = list(made.pixels)
+image = bpy.data.images.load(picture)
+values = list(image.pixels)
 tinted = sum(1 for k in range(0, len(values), 4) if max(values[k : k + 3]) - min(values[k : k + 3]) > 0.5)
 print(json.dumps({"instances": instances, "items": items, "colours": sorted(colours), "tinted": tinted}))

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from antdsl.outputs.cache import frame_writer, lock
 from antdsl.outputs.cache.cache_reader import open_cache
-from antdsl.outputs.cache.frame_writer import Behind, Found
+from antdsl.outputs.cache.frame_writer import Behind, Measures
 from antdsl.outputs.cache.frames import FrameMaker
 from antdsl.outputs.cache.hashes import HASHES, read_lines
 from antdsl.outputs.cache.lock import FolderLock, Locked
@@ -33,41 +33,41 @@ from antdsl.whole import Parts
 
 @pytest.fixture(autouse=True)
 def no_thread_is_left() -> Iterator[None]:
-    before = set(threading.enumerate())
+    initial_threads = set(threading.enumerate())
     yield
-    assert {each for each in threading.enumerate() if each.name == "cache writer"} <= before
+    assert {each for each in threading.enumerate() if each.name == "cache writer"} <= initial_threads
 
 
-def test_all_is_done_in_order_in_one_other_thread_and_told_in_the_callers() -> None:
-    done: list[tuple[int, int]] = []
-    told: list[tuple[Any, int]] = []
-    worker = Behind(lambda found: told.append((found["number"], threading.get_ident())))
+def test_work_is_done_in_order_in_another_thread_and_reported_in_the_callers() -> None:
+    executions: list[tuple[int, int]] = []
+    reports: list[tuple[Any, int]] = []
+    worker = Behind(lambda result: reports.append((result["number"], threading.get_ident())))
     for number in range(60):
 
-        def work(number: int = number) -> Found:
+        def work(number: int = number) -> Measures:
             time.sleep(0.0005)
-            done.append((number, threading.get_ident()))
+            executions.append((number, threading.get_ident()))
             return {"number": number}
 
         worker.hand_over(work)
     worker.finish()
     worker.check()
-    assert [number for number, _ in done] == [number for number, _ in told] == list(range(60))
-    assert {thread for _, thread in told} == {threading.get_ident()}
-    assert len({thread for _, thread in done} | {threading.get_ident()}) == 2
+    assert [number for number, _ in executions] == [number for number, _ in reports] == list(range(60))
+    assert {thread for _, thread in reports} == {threading.get_ident()}
+    assert len({thread for _, thread in executions} | {threading.get_ident()}) == 2
 
 
 def test_where_the_disk_stalls_the_caller_waits_and_nothing_is_lost() -> None:
-    go, begun, handed, done = threading.Event(), threading.Event(), threading.Semaphore(0), []
+    go, start_event, handed, executions = threading.Event(), threading.Event(), threading.Semaphore(0), []
 
-    def work(number: int) -> Found:
-        begun.set()
+    def work(number: int) -> Measures:
+        start_event.set()
         assert go.wait(60)
-        done.append(number)
+        executions.append(number)
         return {}
 
     def hand_over_all() -> None:
-        worker = Behind(lambda found: None)
+        worker = Behind(lambda result: None)
         for number in range(10):
             worker.hand_over(lambda number=number: work(number))  # type: ignore[misc]
             handed.release()
@@ -76,13 +76,13 @@ def test_where_the_disk_stalls_the_caller_waits_and_nothing_is_lost() -> None:
 
     caller = threading.Thread(target=hand_over_all)
     caller.start()
-    assert begun.wait(60)
+    assert start_event.wait(60)
     for _ in range(3):  # one that is under way, and two that wait
         assert handed.acquire(timeout=60)
-    assert not handed.acquire(timeout=0.1) and not done
+    assert not handed.acquire(timeout=0.1) and not executions
     go.set()
     caller.join(60)
-    assert done == list(range(10))
+    assert executions == list(range(10))
 
 
 @pytest.mark.parametrize(
@@ -91,16 +91,16 @@ def test_where_the_disk_stalls_the_caller_waits_and_nothing_is_lost() -> None:
     ids=["full", "bug", "memory", "exit"],
 )
 def test_an_error_is_raised_by_what_comes_next_and_nothing_more_is_done(problem: BaseException) -> None:
-    done: list[int] = []
+    executions: list[int] = []
 
-    def work(number: int) -> Found:
+    def work(number: int) -> Measures:
         if number == 2:
             raise problem
-        done.append(number)
+        executions.append(number)
         return {"number": number}
 
-    told: list[Found] = []
-    worker = Behind(told.append)
+    results: list[Measures] = []
+    worker = Behind(results.append)
     with pytest.raises(type(problem)) as raised:
         for number in range(100):
             worker.hand_over(lambda number=number: work(number))  # type: ignore[misc]
@@ -110,7 +110,7 @@ def test_an_error_is_raised_by_what_comes_next_and_nothing_more_is_done(problem:
     worker.finish()
     with pytest.raises(type(problem)):
         worker.check()
-    assert done == [0, 1] == [found["number"] for found in told]
+    assert executions == [0, 1] == [result["number"] for result in results]
 
 
 KILLED = """
@@ -192,7 +192,7 @@ def test_a_growing_crowd_is_written_the_same_to_the_byte_where_the_disk_stalls_a
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     one = run(tmp_path, "plain")
-    written, under_way = frame_writer.write_whole, []
+    written, under_way = frame_writer.write_atomically, []
 
     def stalling(path: Path, data: bytes | Parts, *, sync: bool = True) -> None:
         if path.name in ("frame.0003.npz", "checkpoint.0008.npz"):
@@ -200,7 +200,7 @@ def test_a_growing_crowd_is_written_the_same_to_the_byte_where_the_disk_stalls_a
             time.sleep(0.2)
         written(path, data, sync=sync)
 
-    monkeypatch.setattr(frame_writer, "write_whole", stalling)
+    monkeypatch.setattr(frame_writer, "write_atomically", stalling)
     two = run(tmp_path, "stalled", shuffle_rows=3, chunk=7)
     assert under_way == ["frame.0003.npz", "checkpoint.0008.npz"]
     mine, other = summary(one), summary(two)
@@ -215,21 +215,21 @@ def test_a_growing_crowd_is_written_the_same_to_the_byte_where_the_disk_stalls_a
         == open_cache(tmp_path / "stalled").checkpoints()
         == [1, 8, 15, 22, 29, 36, 40]
     )
-    lines = [read_lines(tmp_path / way / HASHES) for way in ("plain", "stalled")]
-    of_frames = [{frame: (line.hash, line.file) for frame, line in found.items()} for found in lines]
+    lines = [read_lines(tmp_path / run_name / HASHES) for run_name in ("plain", "stalled")]
+    of_frames = [{frame: (line.hash, line.file) for frame, line in frame_lines.items()} for frame_lines in lines]
     assert len(of_frames[0]) == 40 and of_frames[0] == of_frames[1]
     assert sum(bool(line.checkpoint) for line in lines[0].values()) == 7
 
 
 def test_an_error_behind_a_run_ends_it_and_frees_the_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    written = frame_writer.write_whole
+    written = frame_writer.write_atomically
 
     def full(path: Path, data: bytes | Parts, *, sync: bool = True) -> None:
         if path.name == "frame.0005.npz":
             raise OSError(errno.ENOSPC, "No space left on device", str(path))
         written(path, data, sync=sync)
 
-    monkeypatch.setattr(frame_writer, "write_whole", full)
+    monkeypatch.setattr(frame_writer, "write_atomically", full)
     with pytest.raises(OSError, match="No space left"):
         run(tmp_path, "out")
     with FolderLock(tmp_path / "out"):
@@ -239,13 +239,13 @@ def test_an_error_behind_a_run_ends_it_and_frees_the_folder(tmp_path: Path, monk
 
 def test_nothing_that_is_handed_over_is_memory_of_the_world(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     """The world goes on while a frame is written: an array that both had would be written as it is later."""
-    made = FrameMaker.frame
-    seen: set[str] = set()
+    make_frame = FrameMaker.frame
+    array_names: set[str] = set()
 
     def watched(self: FrameMaker, world: World) -> dict[str, NDArray[Any]]:
-        arrays = made(self, world)
+        arrays = make_frame(self, world)
         for name, array in arrays.items():
-            seen.add(name)
+            array_names.add(name)
             assert not any(np.shares_memory(array, own) for own in held(world)), name
         return arrays
 
@@ -256,7 +256,7 @@ def test_nothing_that_is_handed_over_is_memory_of_the_world(monkeypatch: pytest.
     for _ in range(2):
         next(frames)
     frames.close()
-    assert {"P", "id", "orient"} <= seen and any(name.startswith("feet.") for name in seen)
+    assert {"P", "id", "orient"} <= array_names and any(name.startswith("feet.") for name in array_names)
 
 
 def held(world: World) -> Iterator[NDArray[Any]]:

@@ -38,7 +38,7 @@ from antdsl.outputs.recording import begin, record
 from antdsl.pipeline import open_scene
 from antdsl.runtime import CheckpointError, Options, bind, checkpoint, restore
 from antdsl.runtime.checkpoints import STATE_HASH, Arrays
-from antdsl.whole import write_whole
+from antdsl.whole import write_atomically
 
 ROOT = Path(__file__).resolve().parents[2]
 ARRAYS = {
@@ -53,12 +53,12 @@ ARRAYS = {
 
 def test_arrays_come_back_as_they_were_and_numpy_reads_them(tmp_path: Path) -> None:
     path = tmp_path / "a.npz"
-    write_whole(path, to_bytes(ARRAYS), sync=True)
+    write_atomically(path, to_bytes(ARRAYS), sync=True)
     back = read_npz(path)
     plain = np.load(io.BytesIO(to_bytes(ARRAYS)))
     for name, array in ARRAYS.items():
-        for found in (back[name], plain[name]):
-            assert found.dtype == array.dtype and np.array_equal(found, array)
+        for read_array in (back[name], plain[name]):
+            assert read_array.dtype == array.dtype and np.array_equal(read_array, array)
     assert to_bytes(ARRAYS) == to_bytes(ARRAYS)
     assert [p.name for p in tmp_path.iterdir()] == ["a.npz"]
 
@@ -125,18 +125,18 @@ def test_strange_headers_are_refused(header: str) -> None:
 
 
 def test_every_flipped_byte_of_the_values_is_seen(tmp_path: Path) -> None:
-    whole = to_bytes({"P": np.arange(64, dtype=np.float32)})
+    original = to_bytes({"P": np.arange(64, dtype=np.float32)})
     path = tmp_path / "a.npz"
-    start = whole.index(np.float32(1).tobytes())
+    start = original.index(np.float32(1).tobytes())
     for place in range(start, start + 200, 7):
-        data = bytearray(whole)
+        data = bytearray(original)
         data[place] ^= 0x10
         path.write_bytes(data)
         with pytest.raises(ArrayFileError):
             read_npz(path)
 
 
-def test_a_folder_of_somebody_else_is_left_alone(tmp_path: Path) -> None:
+def test_a_foreign_folder_is_left_alone(tmp_path: Path) -> None:
     (tmp_path / "thesis.txt").write_text("years of work")
     with pytest.raises(ForeignFolder, match=r"thesis\.txt"):
         prepare_folder(tmp_path, force=False)
@@ -170,8 +170,8 @@ def test_feelers_of_a_program_are_found_and_turned_into_rays(tmp_path: Path) -> 
     (entry,) = feelers_of(program, "walker", {}, 10.0, 0.04)
     assert entry.count == 3 and entry.spread == pytest.approx(np.pi / 2)
     assert entry.reach == pytest.approx(0.2) and entry.per_length == pytest.approx(1.5)
-    found = rays(entry, np.zeros((1, 3)), np.array([[1.0, 0, 0]]), np.array([[0, 1.0, 0]]), np.array([0.4]))
-    ends = found[np.argsort(found[:, 1, 2]), 1]
+    segments = rays(entry, np.zeros((1, 3)), np.array([[1.0, 0, 0]]), np.array([[0, 1.0, 0]]), np.array([0.4]))
+    ends = segments[np.argsort(segments[:, 1, 2]), 1]
     assert np.abs(ends - 0.8 * np.array([[0, 0, -1], [1, 0, 0], [0, 0, 1]])).max() < 1e-12
 
 
@@ -227,9 +227,9 @@ def finished(run: subprocess.Popen[str]) -> tuple[int, str]:
 
 def ran(scene: Path, *words: str) -> tuple[int, str]:
     """As `finished(start(…))`, for a run that nothing happens to on its way."""
-    done = commands.run("run", str(scene), "--threads", "1", *words, cwd=scene.parent)
-    assert "Traceback" not in done.stderr, done.stderr[-600:]
-    return done.returncode, done.stdout + done.stderr
+    process = commands.run("run", str(scene), "--threads", "1", *words, cwd=scene.parent)
+    assert "Traceback" not in process.stderr, process.stderr[-600:]
+    return process.returncode, process.stdout + process.stderr
 
 
 @pytest.fixture(scope="module")
@@ -246,13 +246,17 @@ def test_the_summary_has_its_keys_and_the_last_hash(tmp_path: Path) -> None:
     scene = project(tmp_path / "p", hills=True)
     assert ran(scene, "--summary", "summary.json")[0] == 0
     hashes = read_hashes(scene.parent / "out" / "scene" / "hashes.jsonl")
-    found = json.loads((scene.parent / "summary.json").read_text())
-    wanted = "agents frames fps seconds states transitions items faults max_surface_error motion state_hash peak_memory"
-    assert set(wanted.split()) <= set(found)
-    assert found["agents"] == 40 == sum(found["states"].values()) and found["frames"] == 60
+    summary_values = json.loads((scene.parent / "summary.json").read_text())
+    required_keys = "agents frames fps seconds states transitions items faults max_surface_error motion state_hash peak_memory"
+    assert set(required_keys.split()) <= set(summary_values)
+    assert summary_values["agents"] == 40 == sum(summary_values["states"].values()) and summary_values["frames"] == 60
     static = open_cache(scene.parent / "out" / "scene").static()
     assert static["mesh.ground.faces"].max() + 1 == len(static["mesh.ground.vertices"]) == 17 * 17
-    assert found["state_hash"] == hashes[60] and found["max_surface_error"] < 1e-3 and found["faults"] == 0
+    assert (
+        summary_values["state_hash"] == hashes[60]
+        and summary_values["max_surface_error"] < 1e-3
+        and summary_values["faults"] == 0
+    )
 
 
 def test_the_summary_of_a_run_that_goes_on_is_of_all_frames(tmp_path: Path) -> None:
@@ -261,8 +265,8 @@ def test_the_summary_of_a_run_that_goes_on_is_of_all_frames(tmp_path: Path) -> N
 
     def worst(*words: str) -> float | None:
         assert ran(scene, "--frames", "1..12", "--summary", summary.name, *words)[0] == 0
-        found: float | None = json.loads(summary.read_text())["max_surface_error"]
-        return found
+        error: float | None = json.loads(summary.read_text())["max_surface_error"]
+        return error
 
     unbroken = worst()
     assert unbroken is not None and unbroken > 0 and worst("--resume") == unbroken == worst("--resume")
@@ -370,39 +374,37 @@ def test_meshes_that_the_manifest_names_are_there(tmp_path: Path, name: str) -> 
     """Where the file is whole and has other arrays, as one that was edited by hand."""
     scene = project(tmp_path / "p", hills=True)
     assert ran(scene, "--frames", "1..1")[0] == 0
-    found = open_cache(scene.parent / "out" / "scene")
-    others = {key: array for key, array in found.static().items() if key != name}
-    (found.folder / "static.npz").write_bytes(to_bytes(others))
+    cache = open_cache(scene.parent / "out" / "scene")
+    others = {key: array for key, array in cache.static().items() if key != name}
+    (cache.folder / "static.npz").write_bytes(to_bytes(others))
     with pytest.raises(CacheError, match=f"static.npz` has no `{name}`"):
-        found.static()
+        cache.static()
 
 
 def verified(folder: Path) -> tuple[int, str]:
-    done = CliRunner().invoke(app, ["info", str(folder), "--verify"])
-    return done.exit_code, done.output
+    result = CliRunner().invoke(app, ["info", str(folder), "--verify"])
+    return result.exit_code, result.output
 
 
 @pytest.mark.parametrize("kind", DAMAGE)
-def test_what_is_damaged_in_a_cache_is_told_and_made_again(
-    unbroken: tuple[Path, dict[int, str]], tmp_path: Path, kind: str
-) -> None:
-    damage, after, told = DAMAGE[kind]
+def test_damage_in_a_cache_is_reported_and_repaired(unbroken: tuple[Path, dict[int, str]], tmp_path: Path, kind: str) -> None:
+    damage, resume_frame, note = DAMAGE[kind]
     shutil.copytree(unbroken[0].parent, tmp_path / "p")
     scene = tmp_path / "p" / "scene.yaml"
-    folder, whole = scene.parent / "out" / "scene", unbroken[0].parent / "out" / "scene"
+    folder, intact_folder = scene.parent / "out" / "scene", unbroken[0].parent / "out" / "scene"
     shot, _ = open_scene(scene)
     assert shot is not None
     damage(folder)
     code, words = verified(folder)
     assert (code == 0) == (kind in ("nothing", "no checkpoints")), words
     recording = begin(shot, folder, Options(), resume=True, force=False)
-    assert recording.resumed_from == after
-    assert told in " ".join(recording.notes) and bool(recording.notes) == (kind != "nothing"), recording.notes
+    assert recording.resumed_from == resume_frame
+    assert note in " ".join(recording.notes) and bool(recording.notes) == (kind != "nothing"), recording.notes
     for _ in record(recording):
         pass
     for frame in range(1, 61):
-        assert frame_path(folder, frame).read_bytes() == frame_path(whole, frame).read_bytes()
-    assert read_lines(folder / HASHES) == read_lines(whole / HASHES)
+        assert frame_path(folder, frame).read_bytes() == frame_path(intact_folder, frame).read_bytes()
+    assert read_lines(folder / HASHES) == read_lines(intact_folder / HASHES)
     assert verified(folder)[0] == 0
 
 
@@ -425,11 +427,11 @@ def as_before(folder: Path) -> None:
 def test_a_cache_with_hashes_of_all_bytes_is_held_against_them_and_gone_on_with(
     unbroken: tuple[Path, dict[int, str]], tmp_path: Path, kind: str
 ) -> None:
-    damage, after, told = DAMAGE[kind]
+    damage, resume_frame, note = DAMAGE[kind]
     shutil.copytree(unbroken[0].parent, tmp_path / "p")
-    folder, whole = tmp_path / "p" / "out" / "scene", unbroken[0].parent / "out" / "scene"
+    folder, intact_folder = tmp_path / "p" / "out" / "scene", unbroken[0].parent / "out" / "scene"
     as_before(folder)
-    assert verified(folder) == (0, verified(whole)[1])
+    assert verified(folder) == (0, verified(intact_folder)[1])
     old = read_lines(folder / HASHES)
     assert all(len(line.file) == 32 for line in old.values())
     damage(folder)
@@ -437,13 +439,13 @@ def test_a_cache_with_hashes_of_all_bytes_is_held_against_them_and_gone_on_with(
     shot, _ = open_scene(tmp_path / "p" / "scene.yaml")
     assert shot is not None
     recording = begin(shot, folder, Options(), resume=True, force=False)
-    assert recording.resumed_from == after and told in " ".join(recording.notes)
+    assert recording.resumed_from == resume_frame and note in " ".join(recording.notes)
     for _ in record(recording):
         pass
-    assert after is not None and verified(folder)[0] == 0
-    new = read_lines(whole / HASHES)
+    assert resume_frame is not None and verified(folder)[0] == 0
+    new = read_lines(intact_folder / HASHES)
     assert {frame: line.file for frame, line in read_lines(folder / HASHES).items()} == {
-        frame: (old if frame <= after else new)[frame].file for frame in range(1, 61)
+        frame: (old if frame <= resume_frame else new)[frame].file for frame in range(1, 61)
     }
 
 
@@ -487,24 +489,24 @@ def test_only_the_written_form_of_a_name_is_a_frame(unbroken: tuple[Path, dict[i
     shutil.copy(frame_path(folder, 12), frame_path(folder, 70))
     shot, _ = open_scene(tmp_path / "p" / "scene.yaml")
     assert shot is not None
-    told = "\n".join(begin(shot, folder, Options(), resume=True, force=False).notes)
+    notes = "\n".join(begin(shot, folder, Options(), resume=True, force=False).notes)
     for name in ("frame.12.npz", "frame.00012.npz", "frames/checkpoint.0012.npz", "checkpoint.9.npz"):
-        assert f"{name}` is no " in stopped.message and f"{name}` is no " in told
-    assert "frame 70 lies beyond frame 60, the last, and is removed" in told and "made again" not in told
+        assert f"{name}` is no " in stopped.message and f"{name}` is no " in notes
+    assert "frame 70 lies beyond frame 60, the last, and is removed" in notes and "made again" not in notes
 
 
-def test_a_damaged_frame_is_told_and_written_again(tmp_path: Path) -> None:
+def test_a_damaged_frame_is_reported_and_rewritten(tmp_path: Path) -> None:
     scene = project(tmp_path / "p")
     assert ran(scene, "--frames", "1..20")[0] == 0
     folder = scene.parent / "out" / "scene"
-    whole = frame_path(folder, 12).read_bytes()
-    frame_path(folder, 12).write_bytes(whole[: len(whole) // 2])
+    intact_bytes = frame_path(folder, 12).read_bytes()
+    frame_path(folder, 12).write_bytes(intact_bytes[: len(intact_bytes) // 2])
     with pytest.raises(CacheError):
         open_cache(folder).frame(12)
     code, words = ran(scene, "--frames", "1..20", "--resume")
     assert code == 0 and "goes on after frame 9" in words, words
     assert "frame.0012.npz` is not what was written there" in words and "frames 10 to 20 are made again" in words
-    assert frame_path(folder, 12).read_bytes() == whole
+    assert frame_path(folder, 12).read_bytes() == intact_bytes
 
 
 def test_a_link_where_a_file_is_being_written_is_not_followed(tmp_path: Path) -> None:
@@ -512,7 +514,7 @@ def test_a_link_where_a_file_is_being_written_is_not_followed(tmp_path: Path) ->
     mine = tmp_path / "mine.txt"
     mine.write_text("mine")
     (tmp_path / ".a.npz.part").symlink_to(mine)
-    write_whole(tmp_path / "a.npz", to_bytes(ARRAYS), sync=False)
+    write_atomically(tmp_path / "a.npz", to_bytes(ARRAYS), sync=False)
     assert mine.read_text() == "mine" and not (tmp_path / "a.npz").is_symlink() and (tmp_path / ".a.npz.part").is_symlink()
     assert read_npz(tmp_path / "a.npz").keys() == ARRAYS.keys()
 
@@ -532,7 +534,7 @@ STRANGE: dict[str, Callable[[Arrays], dict[str, object]]] = {
 
 
 @pytest.mark.parametrize("kind", STRANGE)
-def test_a_checkpoint_that_somebody_has_made_is_refused_and_reads_no_other_memory(
+def test_a_forged_checkpoint_is_refused_and_reads_no_other_memory(
     unbroken: tuple[Path, dict[int, str]], kind: str, tmp_path: Path
 ) -> None:
     scene = project(tmp_path / "p", hills=True)
@@ -554,8 +556,8 @@ def test_a_run_killed_at_any_instant_ends_with_the_same_hashes(
     folder = scene.parent / "out" / "scene"
     run = start(scene)
     began = time.monotonic()
-    wanted = folder if after == 0 else frame_path(folder, after)
-    while not wanted.exists() and run.poll() is None and time.monotonic() - began < 30:
+    awaited_path = folder if after == 0 else frame_path(folder, after)
+    while not awaited_path.exists() and run.poll() is None and time.monotonic() - began < 30:
         time.sleep(0.0005)
     run.send_signal(signal.SIGKILL)
     run.communicate()
@@ -566,9 +568,9 @@ def test_a_run_killed_at_any_instant_ends_with_the_same_hashes(
     code, words = ran(scene, "--resume")
     assert code == 0, words
     assert read_hashes(folder / "hashes.jsonl") == unbroken[1]
-    mine, whole = open_cache(folder), open_cache(unbroken[0].parent / "out" / "scene")
+    mine, intact_cache = open_cache(folder), open_cache(unbroken[0].parent / "out" / "scene")
     for frame in range(1, 61):
-        assert frame_path(mine.folder, frame).read_bytes() == frame_path(whole.folder, frame).read_bytes()
+        assert frame_path(mine.folder, frame).read_bytes() == frame_path(intact_cache.folder, frame).read_bytes()
     assert not list((folder / "frames").glob(".*"))
 
 
@@ -596,10 +598,10 @@ def test_a_termination_before_the_first_frame_has_the_same_exit_code(
     scene = project(tmp_path / "p")
     for place in ("antdsl.pipeline.open_scene", "antdsl.outputs.recording.begin"):
         with monkeypatch.context() as patch:
-            patch.setattr(place, lambda *words, **more: signal.raise_signal(signal.SIGTERM))
+            patch.setattr(place, lambda *words, **keywords: signal.raise_signal(signal.SIGTERM))
             patch.setattr("sys.argv", ["antdsl", "run", str(scene)])
-            before = signal.getsignal(signal.SIGTERM)
-            assert run_in_process() == 75 and signal.getsignal(signal.SIGTERM) is before
+            previous_handler = signal.getsignal(signal.SIGTERM)
+            assert run_in_process() == 75 and signal.getsignal(signal.SIGTERM) is previous_handler
             assert "stopped before the first frame" in capfd.readouterr().err
 
 
@@ -629,7 +631,9 @@ def test_other_inputs_are_named_and_not_continued(tmp_path: Path) -> None:
     assert code == 1 and "`walker.ant`" in words and "`scene`" not in words, words
 
 
-def test_states_hashed_in_another_way_are_told_and_not_compared(unbroken: tuple[Path, dict[int, str]], tmp_path: Path) -> None:
+def test_states_hashed_with_another_method_are_reported_and_not_compared(
+    unbroken: tuple[Path, dict[int, str]], tmp_path: Path
+) -> None:
     """A cache from before has no word of how; its frames are read and verified as ever."""
     shutil.copytree(unbroken[0].parent, tmp_path / "p")
     scene, manifest = tmp_path / "p" / "scene.yaml", tmp_path / "p" / "out" / "scene" / "manifest.json"
@@ -646,16 +650,16 @@ def test_a_run_begins_where_another_cache_was(unbroken: tuple[Path, dict[int, st
     second = scene.with_name("second.yaml")
     second.write_text(scene.read_text().replace("1..60", "101..105") + "from: {cache: out/scene, frame: 57}\n")
     assert ran(second)[0] == 0
-    there, here = open_cache(scene.parent / "out" / "scene"), open_cache(scene.parent / "out" / "second")
-    assert np.array_equal(there.frame(57)["P"], here.frame(101)["P"])
-    assert not np.array_equal(here.frame(105)["P"], here.frame(101)["P"])
+    first_cache, second_cache = open_cache(scene.parent / "out" / "scene"), open_cache(scene.parent / "out" / "second")
+    assert np.array_equal(first_cache.frame(57)["P"], second_cache.frame(101)["P"])
+    assert not np.array_equal(second_cache.frame(105)["P"], second_cache.frame(101)["P"])
     second.write_text(second.read_text().replace("frame: 57", "frame: 56"))
     code, words = ran(second)
     assert code == 1 and "write one of" in words and "57" in words
 
 
 @pytest.mark.parametrize("words", sampled([(), ("--profile", "--summary", "s.json")], [()]))
-def test_a_run_whose_words_nobody_reads_any_more_goes_on_to_its_end(tmp_path: Path, words: tuple[str, ...]) -> None:
+def test_a_run_whose_output_is_not_read_continues_to_its_end(tmp_path: Path, words: tuple[str, ...]) -> None:
     """As with `| head -1`."""
     scene = project(tmp_path / "p")
     run = start(scene, "--frames", "1..6", *words)
@@ -669,7 +673,7 @@ def test_a_run_whose_words_nobody_reads_any_more_goes_on_to_its_end(tmp_path: Pa
 @pytest.mark.parametrize(
     "kind", ["frames/frame.0012.npz", "frames/frame.0099.npz", "static.npz", "checkpoints/checkpoint.0009.npz"]
 )
-def test_a_folder_in_the_place_of_a_file_is_told_before_anything_is_removed(
+def test_a_folder_in_the_place_of_a_file_is_reported_before_anything_is_removed(
     unbroken: tuple[Path, dict[int, str]], tmp_path: Path, kind: str
 ) -> None:
     shutil.copytree(unbroken[0].parent, tmp_path / "p")
@@ -677,11 +681,11 @@ def test_a_folder_in_the_place_of_a_file_is_told_before_anything_is_removed(
     folder = scene.parent / "out" / "scene"
     (folder / kind).unlink(missing_ok=True)
     (folder / kind / "work").mkdir(parents=True)
-    before = sorted(path for path in folder.rglob("*"))
+    initial_paths = sorted(path for path in folder.rglob("*"))
     for words in ([], ["--resume"]):
         stopped = CliRunner().invoke(app, ["run", str(scene), *words]).exception
         assert isinstance(stopped, Stop) and f"{kind}` is a folder" in stopped.message and "move it away" in stopped.hint
-        assert sorted(path for path in folder.rglob("*")) == before
+        assert sorted(path for path in folder.rglob("*")) == initial_paths
 
 
 @pytest.mark.parametrize(("number", "advice"), [("ENOSPC", "make room, then go on"), ("EIO", "once that is mended, go on")])
@@ -706,8 +710,8 @@ def test_a_full_disk_ends_in_words_and_the_run_goes_on_later(unbroken: tuple[Pat
     command = [sys.executable, "-m", "antdsl", "run", "scene.yaml", "--threads", "1"]
     env = child_environment()
     limit = f"import resource as r, os; r.setrlimit(r.RLIMIT_FSIZE, (20000, 20000)); os.execv({sys.executable!r}, {command!r})"
-    done = subprocess.run([sys.executable, "-c", limit], env=env, cwd=scene.parent, capture_output=True, text=True, timeout=60)
-    assert done.returncode == 3 and "Traceback" not in done.stderr, done.stderr[-600:]
-    assert "cannot write the cache: file too large" in done.stderr and "--resume" in done.stderr
+    process = subprocess.run([sys.executable, "-c", limit], env=env, cwd=scene.parent, capture_output=True, text=True, timeout=60)
+    assert process.returncode == 3 and "Traceback" not in process.stderr, process.stderr[-600:]
+    assert "cannot write the cache: file too large" in process.stderr and "--resume" in process.stderr
     assert ran(scene, "--resume")[0] == 0
     assert len(read_hashes(scene.parent / "out" / "scene" / "hashes.jsonl")) == 60

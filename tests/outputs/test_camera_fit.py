@@ -22,8 +22,8 @@ EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
 def flock(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("flock") / "cache"
     words = ["run", str(EXAMPLES / "flocking" / "scene.yaml"), "--out", str(folder), "--frames", "1..240", "--quiet"]
-    done = CliRunner().invoke(app, words)
-    assert done.exit_code == 0, done.output
+    result = CliRunner().invoke(app, words)
+    assert result.exit_code == 0, result.output
     return folder
 
 
@@ -32,25 +32,25 @@ def test_the_flock_is_in_its_own_picture(flock: Path, frames: list[int]) -> None
     gallery = Gallery(open_cache(flock))
     assert gallery.camera_fits and gallery.camera(1) is None and not gallery.camera_moves
     width, height = 960, 540
-    wanted = Drawn(width, height, "scene", (), legend=False)
-    camera = Drawer(gallery, wanted, frames, threads=1)._camera(gallery.picture(frames[0]))
-    seen = view(camera, width, height, (0.0, 1.0, 0.0))
+    options = Drawn(width, height, "scene", (), legend=False)
+    camera = Drawer(gallery, options, frames, threads=1)._camera(gallery.picture(frames[0]))
+    camera_view = view(camera, width, height, (0.0, 1.0, 0.0))
     widest = 0.0
     for frame in frames:
-        places, ahead = seen.project(np.asarray(gallery.cache.frame(frame)["P"], np.float64))
-        assert (ahead > 0).all() and (places > 0).all() and (places < [width, height]).all()
-        widest = max(widest, float((np.ptp(places, axis=0) / [width, height]).max()))
+        positions, ahead = camera_view.project(np.asarray(gallery.cache.frame(frame)["P"], np.float64))
+        assert (ahead > 0).all() and (positions > 0).all() and (positions < [width, height]).all()
+        widest = max(widest, float((np.ptp(positions, axis=0) / [width, height]).max()))
     assert widest > 0.5 or len(frames) > 1  # as large as it can be
 
 
 def test_any_cache_can_be_drawn_so(flock: Path, tmp_path: Path) -> None:
     words = ["render", str(flock), "--camera", "fit", "--frames", "240..240", "--width", "64", "--height", "36"]
-    done = CliRunner().invoke(app, [*words, "--out", str(tmp_path)])
-    assert done.exit_code == 0 and (tmp_path / "picture.0240.png").is_file()
+    result = CliRunner().invoke(app, [*words, "--out", str(tmp_path)])
+    assert result.exit_code == 0 and (tmp_path / "picture.0240.png").is_file()
 
 
 @pytest.mark.parametrize(("camera", "code"), [("fits", "wrong-value"), ("fit\nlod: {near: 100 mm}", "missing-key")])
-def test_other_words_and_levels_of_detail_are_told(tmp_path: Path, camera: str, code: str) -> None:
+def test_wrong_cameras_and_levels_of_detail_are_reported(tmp_path: Path, camera: str, code: str) -> None:
     for file in (EXAMPLES / "flocking").iterdir():
         if file.is_file():
             (tmp_path / file.name).write_bytes(file.read_bytes())

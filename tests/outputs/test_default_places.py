@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 from commands import run
 
-from antdsl.sweep.finished_runs import Keeper, OtherFiles
+from antdsl.sweep.finished_runs import OtherFiles, RunStore
 from antdsl.whole import first_link
 
 MINIMAL = Path(__file__).resolve().parents[2] / "examples" / "minimal"
@@ -58,11 +58,11 @@ def test_no_command_follows_a_link_by_default(project: Path, words: tuple[str, .
     victim, path = project.parent / "victim", project / link
     path.parent.mkdir(parents=True, exist_ok=True)
     (victim / "file").write_text("mine")
-    places = {"folder": victim, "nowhere": victim / "new", "itself": path, "file": victim / "file", "device": Path(os.devnull)}
-    path.symlink_to(places[leads_to])
-    done = run(*words, cwd=project)
-    assert done.returncode == 3, done.stderr
-    assert f"{link}` is a link" in done.stderr and "`--" in done.stderr and "Traceback" not in done.stderr
+    targets = {"folder": victim, "nowhere": victim / "new", "itself": path, "file": victim / "file", "device": Path(os.devnull)}
+    path.symlink_to(targets[leads_to])
+    process = run(*words, cwd=project)
+    assert process.returncode == 3, process.stderr
+    assert f"{link}` is a link" in process.stderr and "`--" in process.stderr and "Traceback" not in process.stderr
     assert [each.name for each in victim.iterdir()] == ["file"] and (victim / "file").read_text() == "mine"
     assert path.is_symlink() and not (project / "job.json").exists()
 
@@ -74,17 +74,17 @@ def test_pictures_and_edited_caches_follow_no_link(project: Path, monkeypatch: p
     (cache / "pictures").symlink_to(victim)
     (project / "out" / "scene_edited").symlink_to(victim)
     for words in (("render", "out/scene"), ("edit", "out/scene", "--smooth", "orient:3")):
-        done = run(*words, cwd=project)
-        assert done.returncode == 3 and "is a link" in done.stderr and "`--out`" in done.stderr, done.stderr
+        process = run(*words, cwd=project)
+        assert process.returncode == 3 and "is a link" in process.stderr and "`--out`" in process.stderr, process.stderr
     assert not list(victim.iterdir())
-    done = run("edit", "out/scene", "--smooth", "orient:3", "--out", "out/scene_edited", cwd=project)
-    assert done.returncode == 0 and (victim / "manifest.json").is_file(), "what the user names may be a link"
+    process = run("edit", "out/scene", "--smooth", "orient:3", "--out", "out/scene_edited", cwd=project)
+    assert process.returncode == 0 and (victim / "manifest.json").is_file(), "what the user names may be a link"
     (cache / "frames").rename(victim / "moved")
     (cache / "frames").symlink_to(victim / "moved")
-    before = sorted(each.name for each in (victim / "moved").iterdir())
-    done = run("run", "scene.yaml", "--frames", "0..3", cwd=project)
-    assert done.returncode == 3 and "frames` is a link" in done.stderr
-    assert sorted(each.name for each in (victim / "moved").iterdir()) == before
+    initial_names = sorted(each.name for each in (victim / "moved").iterdir())
+    process = run("run", "scene.yaml", "--frames", "0..3", cwd=project)
+    assert process.returncode == 3 and "frames` is a link" in process.stderr
+    assert sorted(each.name for each in (victim / "moved").iterdir()) == initial_names
 
 
 @pytest.mark.parametrize("name", ["manifest.json", "static.npz", "hashes.jsonl", "frames/frame.0000.npz"])
@@ -98,8 +98,8 @@ def test_links_in_a_cache_are_replaced_and_not_written_through(project: Path, mo
     path.unlink()
     path.symlink_to(victim)
     assert run("info", "out/scene", "--verify", cwd=project).returncode != 0
-    done = run(*words, cwd=project)
-    assert done.returncode == 0, done.stderr
+    process = run(*words, cwd=project)
+    assert process.returncode == 0, process.stderr
     assert victim.read_text() == "mine" and not path.is_symlink()
 
 
@@ -108,15 +108,15 @@ def test_what_is_no_folder_is_no_place_for_results(project: Path, kind: str) -> 
     make: Callable[[Path], object] = os.mkfifo if kind == "pipe" else Path.touch
     make(project / "out")
     for words in (RUN, SWEEP):
-        done = run(*words, cwd=project)
-        assert done.returncode == 3 and "out` is a file" in done.stderr, done.stderr
+        process = run(*words, cwd=project)
+        assert process.returncode == 3 and "out` is a file" in process.stderr, process.stderr
 
 
 def test_runs_of_a_sweep_follow_no_link(project: Path) -> None:
     (project / "out" / "sweep").mkdir(parents=True)
     (project / "out" / "sweep" / "runs").symlink_to(project.parent / "victim")
     with pytest.raises(OtherFiles, match="is a link"):
-        Keeper(project / "out" / "sweep")
+        RunStore(project / "out" / "sweep")
 
 
 def test_only_links_below_the_base_count(project: Path, tmp_path: Path) -> None:
@@ -133,8 +133,8 @@ def test_fmt_writes_through_no_link_that_it_finds(project: Path) -> None:
     text = "ant 1\nspecies   walker {\n}\n"
     outside.write_text(text)
     (project / "linked.ant").symlink_to(outside)
-    done = run("fmt", ".", cwd=project)
-    assert done.returncode == 3 and "`linked.ant` is a link" in done.stderr, done.stderr
+    process = run("fmt", ".", cwd=project)
+    assert process.returncode == 3 and "`linked.ant` is a link" in process.stderr, process.stderr
     assert outside.read_text() == text
     assert run("fmt", "linked.ant", cwd=project).returncode == 0
     assert outside.read_text() != text and (project / "linked.ant").is_symlink()

@@ -15,7 +15,7 @@ from antdsl.cli import app
 from antdsl.cli.destinations import file_to_write, folder_to_write
 from antdsl.cli.exits import Exit, Stop
 from antdsl.outputs.pictures.image_files import still
-from antdsl.whole import new_beside, whole, write_whole
+from antdsl.whole import atomic_path, new_beside, write_atomically
 
 MINIMAL = Path(__file__).resolve().parents[2] / "examples" / "minimal"
 
@@ -32,15 +32,15 @@ def shot(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     (tmp_path / "folder").mkdir()
     monkeypatch.chdir(tmp_path)
 
-    def begun(*_: object) -> None:
+    def fail(*_: object) -> None:
         raise AssertionError("a run began")
 
     for place in ("antdsl.outputs.recording.bind", "antdsl.specs.running.bind", "antdsl.sweep.run_all"):
-        monkeypatch.setattr(place, begun)
+        monkeypatch.setattr(place, fail)
     return tmp_path
 
 
-def asked(*words: str) -> Result:
+def invoke(*words: str) -> Result:
     return CliRunner().invoke(app, list(words))
 
 
@@ -63,9 +63,9 @@ def test_where_nothing_can_be_written_nothing_is_run(shot: Path, words: tuple[st
     os.mkfifo(shot / "pipe")
     for name in ("other.usda", "x.svg"):
         (shot / name).mkdir()
-    done = asked(*words)
-    said = " ".join(done.stderr.replace("│", " ").split())
-    assert done.exit_code == Exit.USAGE and flag in said and why in said, (done.output, done.exception)
+    result = invoke(*words)
+    said = " ".join(result.stderr.replace("│", " ").split())
+    assert result.exit_code == Exit.USAGE and flag in said and why in said, (result.output, result.exception)
     assert (shot / "taken").read_text() == "mine" and not (shot / "out").exists()
 
 
@@ -99,42 +99,42 @@ def test_no_result_takes_the_place_of_what_it_is_made_from(shot: Path, words: tu
     (shot / "scene.golden.json").write_text("{}")
     (shot / "link").symlink_to("ground.ply")
     (shot / "out" / "scene").mkdir(parents=True)
-    before = contents(shot)
-    done = asked(*words)
-    said = " ".join(done.stderr.replace("│", " ").split())
-    assert done.exit_code == Exit.USAGE and flag in said and why in said, (done.output, done.exception)
-    assert contents(shot) == before
+    initial_contents = contents(shot)
+    result = invoke(*words)
+    said = " ".join(result.stderr.replace("│", " ").split())
+    assert result.exit_code == Exit.USAGE and flag in said and why in said, (result.output, result.exception)
+    assert contents(shot) == initial_contents
 
 
 @pytest.mark.parametrize("there", ["-", "/dev/stdout"])
 def test_a_result_may_go_to_standard_output_alone(shot: Path, monkeypatch: pytest.MonkeyPatch, there: str) -> None:
     monkeypatch.undo()
     monkeypatch.chdir(shot)
-    done = asked("run", "scene.yaml", "--frames", "1..2", "--profile", "--summary", there)
-    assert done.exit_code == 0 and json.loads(done.stdout)["frames"] == 2 and "the cache is in" in done.stderr
-    done = asked("test", ".", "--json", there)
-    assert done.exit_code == 0 and json.loads(done.stdout)["passed"] == 1 and "1 passed" in done.stderr
-    assert asked("graph", "walker.ant", "--format", "dot", "--out", there).stdout.startswith("digraph")
+    result = invoke("run", "scene.yaml", "--frames", "1..2", "--profile", "--summary", there)
+    assert result.exit_code == 0 and json.loads(result.stdout)["frames"] == 2 and "the cache is in" in result.stderr
+    result = invoke("test", ".", "--json", there)
+    assert result.exit_code == 0 and json.loads(result.stdout)["passed"] == 1 and "1 passed" in result.stderr
+    assert invoke("graph", "walker.ant", "--format", "dot", "--out", there).stdout.startswith("digraph")
     assert not (shot / "-").exists()
 
 
 def test_what_goes_to_dev_null_is_gone(shot: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.undo()
     monkeypatch.chdir(shot)
-    done = asked("test", ".", "--json", os.devnull, "--junit", os.devnull)
-    assert done.exit_code == 0 and "1 passed" in done.stdout and not Path(os.devnull).is_file()
+    result = invoke("test", ".", "--json", os.devnull, "--junit", os.devnull)
+    assert result.exit_code == 0 and "1 passed" in result.stdout and not Path(os.devnull).is_file()
 
 
 def test_a_run_does_not_write_over_the_cache_it_begins_with(shot: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.undo()
     monkeypatch.chdir(shot)
-    assert asked("run", "scene.yaml", "--frames", "1..2", "--out", "first", "-q").exit_code == 0
+    assert invoke("run", "scene.yaml", "--frames", "1..2", "--out", "first", "-q").exit_code == 0
     (shot / "more.yaml").write_text("antdsl: 1\nextends: scene.yaml\nfrom: {cache: first, frame: 2}\n")
-    before = contents(shot)
-    done = asked("run", "more.yaml", "--frames", "1..2", "--out", "first")
-    assert isinstance(done.exception, Stop) and "checkpoint.0002.npz` is read here" in done.exception.message
-    assert "--out" in done.exception.hint and contents(shot) == before
-    assert asked("run", "more.yaml", "--frames", "1..2", "--out", "second", "-q").exit_code == 0
+    initial_contents = contents(shot)
+    result = invoke("run", "more.yaml", "--frames", "1..2", "--out", "first")
+    assert isinstance(result.exception, Stop) and "checkpoint.0002.npz` is read here" in result.exception.message
+    assert "--out" in result.exception.hint and contents(shot) == initial_contents
+    assert invoke("run", "more.yaml", "--frames", "1..2", "--out", "second", "-q").exit_code == 0
 
 
 @pytest.mark.parametrize(
@@ -147,20 +147,20 @@ def test_a_run_does_not_write_over_the_cache_it_begins_with(shot: Path, monkeypa
     ],
 )
 def test_a_file_is_no_folder_to_write_into(shot: Path, words: tuple[str, ...]) -> None:
-    done = asked(*words)
-    assert isinstance(done.exception, Stop) and done.exception.code == Exit.INPUT_OUTPUT
-    assert "taken` is a file" in done.exception.message and words[-2] in done.exception.hint
+    result = invoke(*words)
+    assert isinstance(result.exception, Stop) and result.exception.code == Exit.INPUT_OUTPUT
+    assert "taken` is a file" in result.exception.message and words[-2] in result.exception.hint
     assert (shot / "taken").read_text() == "mine" and not (shot / "out").exists()
 
 
 def test_a_table_of_a_sweep_cannot_take_the_place_of_a_folder(shot: Path) -> None:
     (shot / "folder" / "runs").mkdir()
     (shot / "folder" / "sweep.json").mkdir()
-    done = asked("sweep", "scene.yaml", "--out", "folder")
-    assert isinstance(done.exception, Stop) and "sweep.json` is a folder" in done.exception.message
+    result = invoke("sweep", "scene.yaml", "--out", "folder")
+    assert isinstance(result.exception, Stop) and "sweep.json` is a folder" in result.exception.message
 
 
-def test_a_folder_that_takes_no_files_is_told(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_an_unwritable_folder_is_reported(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     for ask in (lambda: file_to_write(Path("/proc/none.json"), "--summary"), lambda: folder_to_write(Path("/proc/x"), "--out")):
         with pytest.raises(Stop) as stopped:
             ask()
@@ -188,7 +188,7 @@ def test_what_is_there_is_neither_waited_for_nor_taken_away(tmp_path: Path) -> N
     file_to_write(tmp_path / "x.json", "--summary")
     file_to_write(tmp_path / "antdsl", "--summary")
     folder_to_write(tmp_path, "--out")
-    write_whole(tmp_path / "x.json", b"new", sync=False)
+    write_atomically(tmp_path / "x.json", b"new", sync=False)
     still(np.zeros((4, 4, 3), np.uint8), tmp_path / "x.json")
     assert mine.read_text() == "mine" and pipe.is_fifo()
     assert sorted(path.name for path in tmp_path.iterdir()) == [".antdsl.part", ".x.json.part", "x.json"]
@@ -206,7 +206,7 @@ def test_a_name_that_is_taken_is_passed_over(tmp_path: Path, monkeypatch: pytest
 
 def test_what_fails_leaves_the_old_file_and_nothing_beside_it(tmp_path: Path) -> None:
     (tmp_path / "x").write_text("old")
-    with pytest.raises(ValueError), whole(tmp_path / "x") as part:
+    with pytest.raises(ValueError), atomic_path(tmp_path / "x") as part:
         part.write_text("half")
         raise ValueError
     assert [path.name for path in tmp_path.iterdir()] == ["x"] and (tmp_path / "x").read_text() == "old"
@@ -217,7 +217,7 @@ def test_the_folder_that_results_go_to_by_themselves_is_tried_too(shot: Path, wo
     (shot / taken).write_text("mine")
     opened = shot / "ground.ply"
     opened.unlink()  # opening the scene would tell of this
-    done = asked(*words)
-    assert isinstance(done.exception, Stop) and done.exception.code == Exit.INPUT_OUTPUT
-    assert f"{taken}` is a file" in done.exception.message and "--out" in done.exception.hint
+    result = invoke(*words)
+    assert isinstance(result.exception, Stop) and result.exception.code == Exit.INPUT_OUTPUT
+    assert f"{taken}` is a file" in result.exception.message and "--out" in result.exception.hint
     assert (shot / taken).read_text() == "mine"

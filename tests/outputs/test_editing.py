@@ -53,10 +53,12 @@ def angle_of(orient: np.ndarray) -> np.ndarray:
 def test_an_even_turn_stays_and_a_jerk_is_spread() -> None:
     steps = np.arange(21.0)
     frames = frames_of(np.stack([0.1 * steps, (steps >= 10) * 1.0, 0.3 * (-1.0) ** steps], axis=1))
-    found = np.array([angle_of(smoothed(frames, k, 9)) for k in range(21)])
-    assert found[:, 0] == pytest.approx(0.1 * steps, abs=1e-6)  # nobody lags, at the ends neither
-    assert np.diff(found[:, 1]).max() < 0.25 and (np.diff(found[:, 1]) > -1e-6).all() and found[9:11, 1].sum() == pytest.approx(1)
-    assert np.abs(found[4:-4, 2]).max() < 0.02 and found[(0, -1), 2] == pytest.approx((0.3, 0.3))
+    angles = np.array([angle_of(smoothed(frames, k, 9)) for k in range(21)])
+    assert angles[:, 0] == pytest.approx(0.1 * steps, abs=1e-6)  # nobody lags, at the ends neither
+    assert (
+        np.diff(angles[:, 1]).max() < 0.25 and (np.diff(angles[:, 1]) > -1e-6).all() and angles[9:11, 1].sum() == pytest.approx(1)
+    )
+    assert np.abs(angles[4:-4, 2]).max() < 0.02 and angles[(0, -1), 2] == pytest.approx((0.3, 0.3))
 
 
 def test_the_weights_are_those_of_a_raised_cosine() -> None:
@@ -96,14 +98,14 @@ def ran(tmp_path_factory: pytest.TempPathFactory) -> Path:
     (folder / "bug.ant").write_text(PROGRAM)
     (folder / "scene.yaml").write_text(SCENE)
     (folder / "ground.obj").write_text("v -90 0 -90\nv 90 0 -90\nv 90 0 90\nv -90 0 90\nf 1 4 3\nf 1 3 2\n")
-    done = RUN.invoke(app, ["run", str(folder / "scene.yaml"), "--out", str(folder / "walk"), "--backend", "numpy", "-q"])
-    assert done.exit_code == 0, done.output
+    result = RUN.invoke(app, ["run", str(folder / "scene.yaml"), "--out", str(folder / "walk"), "--backend", "numpy", "-q"])
+    assert result.exit_code == 0, result.output
     return folder
 
 
 def test_a_cache_is_made_of_which_only_the_orientations_differ(ran: Path) -> None:
-    done = RUN.invoke(app, ["edit", str(ran / "walk"), "--smooth", "orient:9"])
-    assert done.exit_code == 0 and "30 frames" in done.output, done.output
+    result = RUN.invoke(app, ["edit", str(ran / "walk"), "--smooth", "orient:9"])
+    assert result.exit_code == 0 and "30 frames" in result.output, result.output
     old, new = open_cache(ran / "walk"), open_cache(ran / "walk_edited")
     turned = {"old": 0.0, "new": 0.0}
     last: dict[str, dict[int, np.ndarray]] = {"old": {}, "new": {}}
@@ -112,8 +114,8 @@ def test_a_cache_is_made_of_which_only_the_orientations_differ(ran: Path) -> Non
         assert list(one) == list(two) and all(np.array_equal(one[name], two[name]) for name in one if name != "orient")
         for name, frame in (("old", one), ("new", two)):
             for agent, orient in zip(frame["id"].tolist(), frame["orient"], strict=True):
-                before = last[name].get(agent, orient)
-                turned[name] += 2 * float(np.arccos(min(1.0, abs(float(before @ orient)))))
+                previous_orient = last[name].get(agent, orient)
+                turned[name] += 2 * float(np.arccos(min(1.0, abs(float(previous_orient @ orient)))))
                 last[name][agent] = orient
     assert len({len(old.frame(number)["id"]) for number in (1, 15, 30)}) == 3  # some were born, some have died
     assert turned["new"] < 0.95 * turned["old"]
@@ -136,29 +138,27 @@ def test_a_cache_is_made_of_which_only_the_orientations_differ(ran: Path) -> Non
         ((), 2, "--smooth"),
     ],
 )
-def test_what_cannot_be_done_is_told_and_nothing_is_lost(
+def test_impossible_edits_are_reported_and_nothing_is_lost(
     ran: Path, arguments: tuple[str, ...], code: int, words: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(ran)
-    before = frame_path(ran / "walk", 7).read_bytes()
-    done = RUN.invoke(app, ["edit", "walk", *arguments])
-    said = done.output + str(getattr(done.exception, "message", ""))
-    assert (getattr(done.exception, "code", None) or done.exit_code) == code and words in said, said
-    assert frame_path(ran / "walk", 7).read_bytes() == before
+    initial_bytes = frame_path(ran / "walk", 7).read_bytes()
+    result = RUN.invoke(app, ["edit", "walk", *arguments])
+    said = result.output + str(getattr(result.exception, "message", ""))
+    assert (getattr(result.exception, "code", None) or result.exit_code) == code and words in said, said
+    assert frame_path(ran / "walk", 7).read_bytes() == initial_bytes
 
 
-def test_a_damaged_frame_and_one_without_orientations_are_told(
-    ran: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_damaged_frames_and_missing_orientations_are_reported(ran: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     shutil.copytree(ran / "walk", "broken")
     data = bytearray(frame_path(Path("broken"), 12).read_bytes())
     data[len(data) // 2] ^= 1
     frame_path(Path("broken"), 12).write_bytes(bytes(data))
-    done = RUN.invoke(app, ["edit", "broken", "--smooth", "orient:3"])
-    assert done.exit_code != 0 and "frame.0012" in str(getattr(done.exception, "message", done.output))
+    result = RUN.invoke(app, ["edit", "broken", "--smooth", "orient:3"])
+    assert result.exit_code != 0 and "frame.0012" in str(getattr(result.exception, "message", result.output))
     assert not (tmp_path / "broken_edited" / "manifest.json").exists()  # what is not finished is no cache
     text = (ran / "walk" / "manifest.json").read_text()
     (tmp_path / "broken" / "manifest.json").write_text(text.replace('"orient",', ""))
-    done = RUN.invoke(app, ["edit", "broken", "--smooth", "orient:3"])
-    assert "`orient`" in str(getattr(done.exception, "message", done.output))
+    result = RUN.invoke(app, ["edit", "broken", "--smooth", "orient:3"])
+    assert "`orient`" in str(getattr(result.exception, "message", result.output))

@@ -76,8 +76,10 @@ def opened_again(path: Path, counts: list[int], form: str) -> None:
             assert form == "events" or len(rows) == sum(counts)
         case ".npz":
             with np.load(path, allow_pickle=False) as arrays:
-                found: dict[str, Any] = {name: arrays[name] for name in arrays.files}
-            assert found and (form != "poses" or sum(len(a) for n, a in found.items() if n.endswith(".id")) == sum(counts))
+                named_arrays: dict[str, Any] = {name: arrays[name] for name in arrays.files}
+            assert named_arrays and (
+                form != "poses" or sum(len(a) for n, a in named_arrays.items() if n.endswith(".id")) == sum(counts)
+            )
         case _:
             text = path.read_bytes()
             assert text.startswith(b"ply\n") or not text or text.startswith(b"o ")
@@ -91,16 +93,16 @@ def _is_stage(path: Path, counts: list[int], form: str) -> None:
     if form == "meshes":
         return
     for frame, count in zip(FRAMES, counts, strict=True):
-        shown = 0
+        visible_count = 0
         for prim in stage.Traverse():
             if prim.IsA(UsdGeom.PointInstancer) and _is_seen(prim, frame):
                 instancer = UsdGeom.PointInstancer(prim)
                 sizes = {len(each.Get(frame) or ()) for each in (instancer.GetPositionsAttr(), instancer.GetProtoIndicesAttr())}
                 assert len(sizes) == 1
-                shown += sizes.pop()
+                visible_count += sizes.pop()
             elif prim.GetAttribute("userProperties:id").IsValid():
-                shown += _is_seen(prim, frame)
-        assert shown == count, (path.name, frame)
+                visible_count += _is_seen(prim, frame)
+        assert visible_count == count, (path.name, frame)
 
 
 def _is_seen(prim: Any, frame: int) -> bool:
@@ -121,9 +123,9 @@ def test_every_export_opens_again(cache: Cache, tmp_path: Path, kind: str) -> No
     if ending.startswith(".usd"):
         pytest.importorskip("pxr")
     options = [{}] if form not in export.options else [{"options": export.options[form](**each)} for each in _options(kind)]
-    for more in options:
+    for arguments in options:
         try:
-            export.forms[form](Gallery(cache), list(FRAMES), path, **more)
+            export.forms[form](Gallery(cache), list(FRAMES), path, **arguments)
         except NoExport as why:  # of a mesh sequence: all frames have the same points
             assert form == "meshes" and any(agents(cache)) and "in all of these frames" in str(why)
             return
@@ -144,21 +146,21 @@ def _options(kind: str) -> list[dict[str, Any]]:
 def test_every_camera_draws_frames_without_agents(cache: Cache, camera: str) -> None:
     counts = agents(cache)
     show = ("trail", "flow", "feelers", "velocity", "paths", "ids")
-    wanted = Drawn(48, 27, camera, show, blur=0.5)
+    options = Drawn(48, 27, camera, show, blur=0.5)
     chosen = [FIRST, FIRST + counts.index(min(counts)), LAST]
-    drawer = Drawer(wanted.gallery(cache), wanted, chosen, 1)
+    drawer = Drawer(options.gallery(cache), options, chosen, 1)
     assert all(drawer.draw(frame).shape == (27, 48, 3) for frame in dict.fromkeys(chosen))
     if camera == "eye" and not min(counts):
         with pytest.raises(NoAgent, match="no agent 7 to stand beside; this frame has nobody"):
-            Drawer(wanted.gallery(cache), Drawn(48, 27, camera, (), agents=(7,)), chosen[1:], 1)
+            Drawer(options.gallery(cache), Drawn(48, 27, camera, (), agents=(7,)), chosen[1:], 1)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("case", CASES)
 def test_backends_write_the_same_caches(tmp_path: Path, case: str) -> None:
     scene = empty_scenes.scene(tmp_path / "scene", case)
-    found = [(cached(scene, backend, backend).folder / "hashes.jsonl").read_text() for backend in BACKENDS]
-    assert len(set(found)) == 1
+    hash_texts = [(cached(scene, backend, backend).folder / "hashes.jsonl").read_text() for backend in BACKENDS]
+    assert len(set(hash_texts)) == 1
 
 
 COMMANDS = (
@@ -182,11 +184,13 @@ COMMANDS = (
 def test_every_command_answers(tmp_path: Path, case: str) -> None:
     scene = empty_scenes.scene(tmp_path / "scene", case)
     for words in COMMANDS:
-        done = run(*words, cwd=scene.parent)
-        said = done.stdout + done.stderr
-        assert done.returncode == 0 and "Warning" not in said and "nan" not in said.split(), (words, said)
+        process = run(*words, cwd=scene.parent)
+        said = process.stdout + process.stderr
+        assert process.returncode == 0 and "Warning" not in said and "nan" not in said.split(), (words, said)
     summary = json.loads((scene.parent / "summary.json").read_text(), parse_constant=pytest.fail)
     assert summary
     for species in ("person", "ant", "egg"):
-        done = run("explain", "out", "--agent", "0", "--frame", str(FIRST + 3), "--species", species, cwd=scene.parent)
-        assert done.returncode in (0, 2) and (done.returncode == 0 or "is not there" in done.stderr or "no " in done.stderr)
+        process = run("explain", "out", "--agent", "0", "--frame", str(FIRST + 3), "--species", species, cwd=scene.parent)
+        assert process.returncode in (0, 2) and (
+            process.returncode == 0 or "is not there" in process.stderr or "no " in process.stderr
+        )

@@ -49,8 +49,8 @@ output: {attributes: [P, v, orient, id, pscale, Cd, state, cries], events: [cont
 
 
 def ran(folder: Path, out: str, *words: str) -> Cache:
-    done = run("run", "scene.yaml", "--out", out, "-q", *words, cwd=folder)
-    assert done.returncode == 0, done.stderr
+    process = run("run", "scene.yaml", "--out", out, "-q", *words, cwd=folder)
+    assert process.returncode == 0, process.stderr
     return open_cache(folder / out)
 
 
@@ -65,61 +65,68 @@ def cache(tmp_path_factory: pytest.TempPathFactory) -> Cache:
 
 def rows(cache: Cache, *words: str) -> list[dict[str, Any]]:
     path = cache.folder.parent / "events.csv"
-    done = run("export", str(cache.folder), "--to", str(path), "--as", "events", *words, cwd=path.parent)
-    assert done.returncode == 0 and "note" not in done.stdout, done.stderr
+    process = run("export", str(cache.folder), "--to", str(path), "--as", "events", *words, cwd=path.parent)
+    assert process.returncode == 0 and "note" not in process.stdout, process.stderr
     with open(path, newline="") as file:
         return list(csv.DictReader(file))
 
 
 def test_births_deaths_and_changes_are_those_of_the_frames(cache: Cache) -> None:
-    table, seen = rows(cache), {"birth": 0, "death": 0, "state": 0}
+    table, counts = rows(cache), {"birth": 0, "death": 0, "state": 0}
     assert [int(row["frame"]) for row in table] == sorted(int(row["frame"]) for row in table)
     states = [state.name for state in cache.manifest.species[0].machines[0].states]
     for frame in range(4, 27):
-        before, now = cache.frame(frame - 1), cache.frame(frame)
-        was, here = (dict(zip(a["id"][a["species"] == 0].tolist(), np.flatnonzero(a["species"] == 0).tolist(), strict=True))
-                     for a in (before, now))  # fmt: skip
-        told = {kind: {int(r["id"]): r for r in table if int(r["frame"]) == frame and r["kind"] == kind} for kind in seen}
-        assert set(told["birth"]) == set(here) - set(was) and set(told["death"]) == set(was) - set(here)
-        changed = {one for one in set(was) & set(here) if before["state"][was[one]] != now["state"][here[one]]}
-        assert set(told["state"]) == changed
-        for one, row in told["state"].items():
-            assert row["what"] == states[now["state"][here[one]]] and row["species"] == "bug"
-        for kind, arrays, where in (("birth", now, here), ("death", before, was)):
-            for one, row in told[kind].items():
+        previous_frame, now = cache.frame(frame - 1), cache.frame(frame)
+        previous_rows, current_rows = (
+            dict(zip(a["id"][a["species"] == 0].tolist(), np.flatnonzero(a["species"] == 0).tolist(), strict=True))
+                     for a in (previous_frame, now))  # fmt: skip
+        event_rows = {kind: {int(r["id"]): r for r in table if int(r["frame"]) == frame and r["kind"] == kind} for kind in counts}
+        assert set(event_rows["birth"]) == set(current_rows) - set(previous_rows) and set(event_rows["death"]) == set(
+            previous_rows
+        ) - set(current_rows)
+        changed = {
+            one
+            for one in set(previous_rows) & set(current_rows)
+            if previous_frame["state"][previous_rows[one]] != now["state"][current_rows[one]]
+        }
+        assert set(event_rows["state"]) == changed
+        for one, row in event_rows["state"].items():
+            assert row["what"] == states[now["state"][current_rows[one]]] and row["species"] == "bug"
+        for kind, arrays, where in (("birth", now, current_rows), ("death", previous_frame, previous_rows)):
+            for one, row in event_rows[kind].items():
                 assert np.allclose([float(row[axis]) for axis in "xyz"], arrays["P"][where[one]], atol=1e-5)
                 assert float(row["ny"]) > 0.9
-                seen[kind] += 1
-        seen["state"] += len(changed)
-    assert min(seen.values()) > 3
+                counts[kind] += 1
+        counts["state"] += len(changed)
+    assert min(counts.values()) > 3
 
 
-def test_a_foot_that_lands_is_told_of_with_its_leg_and_place(cache: Cache) -> None:
+def test_a_landing_foot_is_recorded_with_its_leg_and_place(cache: Cache) -> None:
     table = [row for row in rows(cache) if row["kind"] == "footfall" and row["species"] == "bug"]
     legs = [leg.name for leg in Gallery(cache).body(0).definition.legs]
     assert len(legs) == 6 and {row["what"] for row in table} == set(legs)
-    seen = 0
+    landing_count = 0
     for frame in (5, 6, 7, 8, 16):
-        before, now = cache.frame(frame - 1), cache.frame(frame)
-        ids = [arrays["id"][arrays["species"] == 0].tolist() for arrays in (before, now)]
-        told = {(int(row["id"]), row["what"]): row for row in table if int(row["frame"]) == frame}
+        previous_frame, now = cache.frame(frame - 1), cache.frame(frame)
+        ids = [arrays["id"][arrays["species"] == 0].tolist() for arrays in (previous_frame, now)]
+        event_rows = {(int(row["id"]), row["what"]): row for row in table if int(row["frame"]) == frame}
         landed = {
             (one, legs[leg])
             for one in set(ids[0]) & set(ids[1])
             for leg in range(6)
-            if not before["feet.bug.down"][ids[0].index(one), leg] and now["feet.bug.down"][ids[1].index(one), leg]
+            if not previous_frame["feet.bug.down"][ids[0].index(one), leg] and now["feet.bug.down"][ids[1].index(one), leg]
         }
-        assert landed == set(told)
-        seen += len(landed)
-        for (one, leg), row in told.items():
+        assert landed == set(event_rows)
+        landing_count += len(landed)
+        for (one, leg), row in event_rows.items():
             place = now["feet.bug.P"][ids[1].index(one), legs.index(leg)]
             assert np.allclose([float(row[axis]) for axis in "xyz"], place, atol=1e-6)
-    assert seen > 20
+    assert landing_count > 20
 
 
 def test_ants_on_their_feet_and_with_their_loads_are_the_same_in_gltf(cache: Cache, tmp_path: Path) -> None:
-    done = run("export", str(cache.folder), "--to", "ants.glb", "--ids", "0..9", "--frames", "10..16", cwd=tmp_path)
-    assert done.returncode == 0, done.stderr
+    process = run("export", str(cache.folder), "--to", "ants.glb", "--ids", "0..9", "--frames", "10..16", cwd=tmp_path)
+    assert process.returncode == 0, process.stderr
     scene = Scene((tmp_path / "ants.glb").read_bytes())
     scene.check()
     names, worn = [node["name"] for node in scene.tree["nodes"]], set()
@@ -131,25 +138,27 @@ def test_ants_on_their_feet_and_with_their_loads_are_the_same_in_gltf(cache: Cac
                 continue
             chosen = np.flatnonzero(crowd.ids < 10)
             drawn = crowd.posed(crowd.worn, chosen)[0].astype(float)
-            wanted = turned(crowd.orient[chosen], drawn) * crowd.scale[chosen, None, None] + crowd.position[chosen, None]
+            expected = turned(crowd.orient[chosen], drawn) * crowd.scale[chosen, None, None] + crowd.position[chosen, None]
             for row, one in enumerate(crowd.ids[chosen].tolist()):
                 own = [points[k] for k, name in enumerate(names) if name.startswith(f"bug_{one}_") and k in points]
-                shown = np.concatenate([each for each in own if np.ptp(each, axis=0).max() > 1e-6])  # who is hidden is tiny
-                off = np.abs(shown[:, None] - wanted[row][None] / 100).max(axis=2).min(axis=1)
+                visible_points = np.concatenate(
+                    [each for each in own if np.ptp(each, axis=0).max() > 1e-6]
+                )  # who is hidden is tiny
+                off = np.abs(visible_points[:, None] - expected[row][None] / 100).max(axis=2).min(axis=1)
                 assert off.max() < 1e-6, "metres; an ant is 6e-3 long"
             worn |= {crowd.worn.layers} if len(chosen) else set()
     assert worn == {(), ("load",)}
 
 
-def test_who_emits_is_kept_with_its_place(cache: Cache) -> None:
+def test_emit_events_have_the_place_of_their_agent(cache: Cache) -> None:
     assert cache.manifest.events == ("bang", "farewell")
     bangs, farewells = 0, set()
     for frame in range(4, 27):
-        before, now = cache.frame(frame - 1), cache.frame(frame)
+        previous_frame, now = cache.frame(frame - 1), cache.frame(frame)
         of = {name: now[f"events.emit.{name}"] for name in ("id", "event", "P", "N", "species")}
         assert not of["species"].any() and np.allclose(np.linalg.norm(of["N"], axis=1), 1, atol=1e-6)
-        bugs = before["species"] == 0
-        where = dict(zip(before["id"][bugs].tolist(), before["P"][bugs], strict=True))
+        bugs = previous_frame["species"] == 0
+        where = dict(zip(previous_frame["id"][bugs].tolist(), previous_frame["P"][bugs], strict=True))
         for one, event, place in zip(of["id"].tolist(), of["event"].tolist(), of["P"], strict=True):
             assert np.allclose(place, where[one], atol=1e-5), "where it was when the step began"
             bangs += event == 0
@@ -177,10 +186,10 @@ def test_contacts_are_bodies_in_each_other(cache: Cache) -> None:
     assert pairs > 5
 
 
-def test_a_contact_is_told_of_when_it_begins(cache: Cache) -> None:
-    told = [row for row in rows(cache) if row["kind"] == "contact"]
-    begun = set()
-    for row in told:
+def test_a_contact_is_recorded_when_it_begins(cache: Cache) -> None:
+    contact_rows = [row for row in rows(cache) if row["kind"] == "contact"]
+    pairs = set()
+    for row in contact_rows:
         pair = (row["species"], row["id"], row["other_species"], row["other"])
         frame = int(row["frame"])
         names = [entry.name for entry in cache.manifest.species]
@@ -188,21 +197,21 @@ def test_a_contact_is_told_of_when_it_begins(cache: Cache) -> None:
             arrays = cache.frame(frame - 1)
             of = [arrays[f"events.contact.{name}"].tolist() for name in ("species", "id", "other_species", "other")]
             assert pair not in {(names[s], str(i), names[t], str(j)) for s, i, t, j in zip(*of, strict=True)}
-        begun.add(pair)
-    assert len(begun) > 3
+        pairs.add(pair)
+    assert len(pairs) > 3
 
 
 def test_arrays_are_the_same_events(cache: Cache, tmp_path: Path) -> None:
-    done = run("export", str(cache.folder), "--to", str(tmp_path / "e.npz"), "--as", "events", "--ids", "0..20", cwd=tmp_path)
-    assert done.returncode == 0, done.stderr
+    process = run("export", str(cache.folder), "--to", str(tmp_path / "e.npz"), "--as", "events", "--ids", "0..20", cwd=tmp_path)
+    assert process.returncode == 0, process.stderr
     table = rows(cache, "--ids", "0..20")
-    with np.load(tmp_path / "e.npz") as found:
+    with np.load(tmp_path / "e.npz") as archive:
         for kind in ("birth", "death", "state", "footfall", "emit", "contact"):
             mine = [row for row in table if row["kind"] == kind]
-            assert found[f"{kind}.id"].tolist() == [int(row["id"]) for row in mine]
-            assert found[f"{kind}.frame"].tolist() == [int(row["frame"]) for row in mine]
-            assert np.allclose(found[f"{kind}.P"], [[float(row[axis]) for axis in "xyz"] for row in mine] or np.zeros((0, 3)))
-        assert found["death.id"].max() <= 20
+            assert archive[f"{kind}.id"].tolist() == [int(row["id"]) for row in mine]
+            assert archive[f"{kind}.frame"].tolist() == [int(row["frame"]) for row in mine]
+            assert np.allclose(archive[f"{kind}.P"], [[float(row[axis]) for axis in "xyz"] for row in mine] or np.zeros((0, 3)))
+        assert archive["death.id"].max() <= 20
 
 
 def test_a_run_that_goes_on_has_the_same_events_and_all_backends_do(cache: Cache) -> None:
@@ -219,9 +228,9 @@ def test_a_run_that_goes_on_has_the_same_events_and_all_backends_do(cache: Cache
                 assert np.array_equal(mine[name], theirs[name], equal_nan=mine[name].dtype.kind == "f"), (frame, name)
 
 
-def test_kinds_that_are_none_are_told_at_their_place(cache: Cache) -> None:
+def test_unknown_event_kinds_are_reported_at_their_place(cache: Cache) -> None:
     folder = cache.folder.parent
     (folder / "wrong.yaml").write_text(SCENE.replace("[contact, emit]", "[contact, emits]"))
-    done = run("check", "wrong.yaml", cwd=folder)
-    assert done.returncode == 1 and "emits" in done.stdout + done.stderr and "`emit`" in done.stdout + done.stderr
+    process = run("check", "wrong.yaml", cwd=folder)
+    assert process.returncode == 1 and "emits" in process.stdout + process.stderr and "`emit`" in process.stdout + process.stderr
     assert json.loads((cache.folder / "manifest.json").read_text())["events"] == ["bang", "farewell"]

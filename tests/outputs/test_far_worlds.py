@@ -95,9 +95,9 @@ def moved_arrays(paths: Pair) -> None:
 
 def points_for_houdini(paths: Pair) -> None:
     near, far = (json.loads(path.read_text()) for path in paths)
-    (whole,) = (file[file.index("attributes") + 1] for file in (far,))
-    given = whole[whole.index("globalattributes") + 1]
-    head, values = given.pop()
+    (attributes,) = (file[file.index("attributes") + 1] for file in (far,))
+    global_attributes = attributes[attributes.index("globalattributes") + 1]
+    head, values = global_attributes.pop()
     assert "origin" in head and values[values.index("values") + 1][-1] == [ORIGIN.tolist()]
     assert near == far, "all else is the same"
 
@@ -122,13 +122,13 @@ def _mesh_file(path: Path) -> tuple[np.ndarray, np.ndarray]:
     return np.stack([rows[axis].astype(np.float64) for axis in "xyz"], axis=1), corners["v"]
 
 
-def gltf(paths: Pair, wanted: np.ndarray = ORIGIN) -> None:
+def gltf(paths: Pair, expected_origin: np.ndarray = ORIGIN) -> None:
     from tests.gltf_scene import Scene
 
     near, far = (Scene(path.read_bytes()) for path in paths)
     far.check()
     (world,) = (node for node in far.tree["nodes"] if node["name"] == "World")
-    assert world.pop("translation") == wanted.tolist()
+    assert world.pop("translation") == expected_origin.tolist()
     binary = [path.read_bytes() for path in paths]
     a, b = (data[20 + int.from_bytes(data[12:16], "little") :] for data in binary)
     assert near.tree == far.tree and len(a) > 10000 and a == b
@@ -140,21 +140,21 @@ def stages(paths: Pair) -> None:
     root = far.GetPrimAtPath("/World").GetAttribute("xformOp:translate:origin")
     assert root.GetTypeName() == "double3" and tuple(root.Get()) == tuple(ORIGIN)
     assert not near.GetPrimAtPath("/World").HasAttribute("xformOp:translate:origin")
-    seen = 0
+    prim_count = 0
     for prim in near.TraverseAll():
         other = far.GetPrimAtPath(prim.GetPath())
         for attribute in prim.GetAttributes():
             if str(attribute.GetPath()) == "/World.xformOpOrder":
                 continue
-            there = other.GetAttribute(attribute.GetName())
-            assert attribute.GetTimeSamples() == there.GetTimeSamples()
+            other_attribute = other.GetAttribute(attribute.GetName())
+            assert attribute.GetTimeSamples() == other_attribute.GetTimeSamples()
             for time in (3.0, usd.TimeCode.Default()):
-                assert attribute.Get(time) == there.Get(time), attribute.GetPath()
+                assert attribute.Get(time) == other_attribute.Get(time), attribute.GetPath()
         if geom.Xformable(prim) and str(prim.GetPath()).startswith("/World/"):
             a, b = (geom.Xformable(each).ComputeLocalToWorldTransform(3.0) for each in (prim, other))
             assert np.abs(np.array(b.ExtractTranslation()) - np.array(a.ExtractTranslation()) - ORIGIN).max() < NEAR
-            seen += 1
-    assert seen > 5
+            prim_count += 1
+    assert prim_count > 5
 
 
 READ: dict[tuple[str, str], Callable[[Pair], None]] = {
@@ -169,12 +169,12 @@ QUICK = {"points", "keyframes", "arrays", "skinned"}
 def exported(pair: Pair, folder: Path, ending: str, form: str) -> Pair:
     """The same form of both caches; of one file a frame that of frame 3."""
     export = next(each for each in EXPORTS if ending in each.endings)
-    found = []
+    paths = []
     for cache, name in zip(pair, ("near", "far"), strict=True):
         path = folder / f"{name}{ending}"
         export.forms[form](Gallery(open_cache(cache)), [1, 2, 3], path)
-        found.append(export.paths(form, path, [3])[0])
-    return found[0], found[1]
+        paths.append(export.paths(form, path, [3])[0])
+    return paths[0], paths[1]
 
 
 @pytest.mark.parametrize(
@@ -200,8 +200,8 @@ def test_axes_of_a_world_with_z_up_turn_with_its_origin(z_pair: Pair, tmp_path: 
     x, y, z = ORIGIN.tolist()
     gltf(exported(z_pair, tmp_path, ".glb", "skinned"), np.array([x, z, -y]))
     far = json.loads(exported(z_pair, tmp_path, ".geo", "points")[1].read_text())
-    whole = far[far.index("attributes") + 1]
-    assert whole[whole.index("globalattributes") + 1][-1][1][-1][-1] == [[x, z, -y]]
+    attributes = far[far.index("attributes") + 1]
+    assert attributes[attributes.index("globalattributes") + 1][-1][1][-1][-1] == [[x, z, -y]]
     stages(exported(z_pair, tmp_path, ".usdc", "xforms"))
 
 
@@ -211,8 +211,8 @@ def test_axes_of_a_world_with_z_up_turn_with_its_origin(z_pair: Pair, tmp_path: 
 def drawn(cache: Path, name: str, *words: str) -> np.ndarray:
     folder = cache.parent / name
     words = ("--frames", "4..4", "--width", "96", "--height", "64", "--out", str(folder), *words)
-    done = run("render", str(cache), *words, cwd=cache.parent)
-    assert done.returncode == 0, done.stdout + done.stderr
+    process = run("render", str(cache), *words, cwd=cache.parent)
+    assert process.returncode == 0, process.stdout + process.stderr
     (picture,) = folder.glob("*.png")
     with Image.open(picture) as image:  # the file names its cache
         return np.asarray(image.convert("RGB"))
@@ -228,8 +228,8 @@ def test_pictures_are_those_of_the_near_world(pair: Pair) -> None:
 def test_a_cut_is_at_a_place_of_the_scene(pair: Pair) -> None:
     near = Gallery(open_cache(pair[0]), Cut.of("x > 1")).picture(4)
     far = Gallery(open_cache(pair[1]), Cut.of("x > 530001")).picture(4)
-    whole = Gallery(open_cache(pair[0])).picture(4)
-    assert 0 < len(near.crowds[0].position) < len(whole.crowds[0].position)
+    full_picture = Gallery(open_cache(pair[0])).picture(4)
+    assert 0 < len(near.crowds[0].position) < len(full_picture.crowds[0].position)
     assert np.array_equal(near.crowds[0].position, far.crowds[0].position)
     for a, b in zip(near.solids, far.solids, strict=True):
         assert np.array_equal(a.vertices, b.vertices) and np.array_equal(a.faces, b.faces)
@@ -241,33 +241,33 @@ def test_info_shows_the_origin_of_a_far_world(pair: Pair) -> None:
 
 
 def test_an_edited_cache_has_the_origin(pair: Pair, tmp_path: Path) -> None:
-    done = run("edit", str(pair[1]), "--smooth", "orient:3", "--out", "edited", cwd=tmp_path)
-    assert done.returncode == 0, done.stderr
-    found, was = open_cache(tmp_path / "edited"), open_cache(pair[1])
-    assert found.manifest.origin == tuple(ORIGIN) and np.array_equal(found.frame(4)["P"], was.frame(4)["P"])
+    process = run("edit", str(pair[1]), "--smooth", "orient:3", "--out", "edited", cwd=tmp_path)
+    assert process.returncode == 0, process.stderr
+    edited_cache, was = open_cache(tmp_path / "edited"), open_cache(pair[1])
+    assert edited_cache.manifest.origin == tuple(ORIGIN) and np.array_equal(edited_cache.frame(4)["P"], was.frame(4)["P"])
 
 
 def test_a_run_that_is_continued_has_the_same_frames(pair: Pair, tmp_path: Path) -> None:
     place = tmp_path / "far"
     shutil.copytree(pair[1].parent, place)
     lines = [json.loads(line) for line in (place / "cache" / "hashes.jsonl").read_bytes().splitlines()]
-    wanted = {line["frame"]: line["file"] for line in lines}
+    expected_files = {line["frame"]: line["file"] for line in lines}
     for frame in (5, 6):
         (place / "cache" / "frames" / f"frame.{frame:04d}.npz").unlink()
-    done = run("run", "scene.yaml", "--out", "cache", "--resume", "-q", cwd=place)
-    assert done.returncode == 0, done.stderr
+    process = run("run", "scene.yaml", "--out", "cache", "--resume", "-q", cwd=place)
+    assert process.returncode == 0, process.stderr
     lines = [json.loads(line) for line in (place / "cache" / "hashes.jsonl").read_bytes().splitlines()]
-    assert {line["frame"]: line["file"] for line in lines} == wanted
+    assert {line["frame"]: line["file"] for line in lines} == expected_files
     manifest: dict[str, Any] = json.loads((place / "cache" / "manifest.json").read_text())
     del manifest["origin"]  # as a cache was written before it had one
     (place / "cache" / "manifest.json").write_text(json.dumps(manifest))
     assert open_cache(place / "cache").manifest.origin == (0, 0, 0)
-    done = run("run", "scene.yaml", "--out", "cache", "--resume", "-q", cwd=place)
-    assert done.returncode == 3 and "another origin" in done.stderr and "without `--resume`" in done.stderr
+    process = run("run", "scene.yaml", "--out", "cache", "--resume", "-q", cwd=place)
+    assert process.returncode == 3 and "another origin" in process.stderr and "without `--resume`" in process.stderr
 
 
 def test_a_run_begins_with_a_cache_of_the_same_place_alone(pair: Pair, tmp_path: Path) -> None:
-    found = []
+    caches = []
     for cache, origin in zip(pair, (np.zeros(3), ORIGIN), strict=True):
         place = tmp_path / cache.parent.name
         place.mkdir()
@@ -275,24 +275,25 @@ def test_a_run_begins_with_a_cache_of_the_same_place_alone(pair: Pair, tmp_path:
         shutil.copytree(cache, place / "other")
         scene = place / "scene.yaml"
         scene.write_text(scene.read_text() + "from: {cache: other, frame: 5}\n")
-        done = run("run", "scene.yaml", "--out", "cache", "-q", cwd=place)
-        assert done.returncode == 0, done.stdout + done.stderr
-        found.append(place / "cache")
-    check_caches((found[0], found[1]))
+        process = run("run", "scene.yaml", "--out", "cache", "-q", cwd=place)
+        assert process.returncode == 0, process.stdout + process.stderr
+        caches.append(place / "cache")
+    check_caches((caches[0], caches[1]))
     shutil.rmtree(tmp_path / "far" / "other")
     shutil.copytree(pair[0], tmp_path / "far" / "other")
-    done = run("run", "scene.yaml", "--out", "cache", "--force", "-q", cwd=tmp_path / "far")
+    process = run("run", "scene.yaml", "--out", "cache", "--force", "-q", cwd=tmp_path / "far")
     assert (
-        done.returncode == 1 and "origin at 0 0 0 m, and this scene's world at 530000 25 -180000 m" in done.stdout + done.stderr
+        process.returncode == 1
+        and "origin at 0 0 0 m, and this scene's world at 530000 25 -180000 m" in process.stdout + process.stderr
     )
 
 
 @pytest.mark.slow
 def test_an_explanation_has_places_of_the_scene(pair: Pair) -> None:
-    found = []
+    positions = []
     for cache in pair:
-        done = run("explain", str(cache), "--agent", "3", "--frame", "4", "--json", cwd=cache.parent)
-        assert done.returncode == 0, done.stdout + done.stderr
-        (change,) = (each for each in json.loads(done.stdout)["changes"] if each["name"] == "position")
-        found.append(np.array([change["before"], change["after"]]))
-    assert np.abs(found[1] - found[0] - ORIGIN * 1000).max() < 1e-3, "mm"
+        process = run("explain", str(cache), "--agent", "3", "--frame", "4", "--json", cwd=cache.parent)
+        assert process.returncode == 0, process.stdout + process.stderr
+        (change,) = (each for each in json.loads(process.stdout)["changes"] if each["name"] == "position")
+        positions.append(np.array([change["before"], change["after"]]))
+    assert np.abs(positions[1] - positions[0] - ORIGIN * 1000).max() < 1e-3, "mm"

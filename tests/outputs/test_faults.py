@@ -40,16 +40,16 @@ def calls_of_a_run(folder: Path, *words: str) -> list[str]:
 def broken(folder: Path, at: int, fault: Fault, unbroken: Path, *words: str) -> bool:
     """A run with a fault ends in words, and goes on; whether there was a call with that number."""
     with Faults(folder / "out", at, fault) as calls:
-        done = ran(folder, *words)
+        process = ran(folder, *words)
     if calls.hit is None:
-        assert done.returncode == 0
-    elif done.returncode:
-        assert done.returncode == 3, (calls.hit, done.stderr)
-        assert done.stderr.startswith("error: ") and str(folder / "out") in done.stderr, (calls.hit, done.stderr)
-        hint = done.stderr.splitlines()[1]
-        assert hint.endswith("`--out`") or hint.endswith("antdsl run scene.yaml --resume"), (calls.hit, done.stderr)
-    done = ran(folder, "--resume")
-    assert done.returncode == 0, (calls.hit, done.stderr)
+        assert process.returncode == 0
+    elif process.returncode:
+        assert process.returncode == 3, (calls.hit, process.stderr)
+        assert process.stderr.startswith("error: ") and str(folder / "out") in process.stderr, (calls.hit, process.stderr)
+        hint = process.stderr.splitlines()[1]
+        assert hint.endswith("`--out`") or hint.endswith("antdsl run scene.yaml --resume"), (calls.hit, process.stderr)
+    process = ran(folder, "--resume")
+    assert process.returncode == 0, (calls.hit, process.stderr)
     assert_same(folder, unbroken)
     return calls.hit is not None
 
@@ -95,11 +95,11 @@ def recorded(folder: Path) -> Disk:
 def lost(disk: Disk, at: int, style: str, folder: Path, unbroken: Path) -> None:
     project(folder)
     disk.loss(at, style, folder / "out")
-    done = ran(folder, "--resume")
-    assert done.returncode == 0, (at, style, done.stderr)
+    process = ran(folder, "--resume")
+    assert process.returncode == 0, (at, style, process.stderr)
     assert_same(folder, unbroken)
     if at == len(disk.calls):
-        assert "again" not in done.stderr, (style, done.stderr)  # what a run that ended has written is on the disk
+        assert "again" not in process.stderr, (style, process.stderr)  # what a run that ended has written is on the disk
 
 
 # --- two runs, locks, clocks ---------------------------------------------------------------------------------------------
@@ -115,12 +115,12 @@ def test_a_run_that_another_one_overtook_writes_nothing(unbroken: Path, tmp_path
     assert recording.resumed_from == LAST
     other = open_cache(folder / "out" / "scene")
     assert ran(folder, "--seed", "2").returncode == 0
-    before = {path: path.read_bytes() for path in other.folder.rglob("*.npz")}
+    initial_contents = {path: path.read_bytes() for path in other.folder.rglob("*.npz")}
     with pytest.raises(Locked, match="another run has written"):
         list(record(recording))
-    assert {path: path.read_bytes() for path in other.folder.rglob("*.npz")} == before
-    done = ran(folder, "--resume")
-    assert done.returncode == 1 and "with seed 2, not 1" in done.stderr and "without `--resume`" in done.stderr
+    assert {path: path.read_bytes() for path in other.folder.rglob("*.npz")} == initial_contents
+    process = ran(folder, "--resume")
+    assert process.returncode == 1 and "with seed 2, not 1" in process.stderr and "without `--resume`" in process.stderr
     assert ran(folder).returncode == 0
     assert_same(folder, unbroken)
 
@@ -141,9 +141,9 @@ def test_a_lock_that_is_held_is_not_waited_for_unless_its_process_is_known_to_be
     """Of an empty file, a process that runs, one of another host or container, and nonsense."""
     with FolderLock(tmp_path):
         (tmp_path / LOCK).write_bytes(words)
-        with patch("antdsl.outputs.cache.lock._PATIENCE", 0.05), pytest.raises(Locked, match=re.escape(shown)) as found:
+        with patch("antdsl.outputs.cache.lock._PATIENCE", 0.05), pytest.raises(Locked, match=re.escape(shown)) as error_info:
             FolderLock(tmp_path).__enter__()
-        assert found.value.args[0].isprintable()
+        assert error_info.value.args[0].isprintable()
     with FolderLock(tmp_path):  # what a file says that no process holds counts for nothing
         assert (tmp_path / LOCK).read_text().split()[0] == str(os.getpid())
 
@@ -178,17 +178,19 @@ def test_a_lock_that_is_no_file_is_named(tmp_path: Path, make: Callable[[Path], 
     (folder / "out" / "scene").mkdir()
     make(folder / "out" / "scene" / LOCK)
     for words in ((), ("--force",)):
-        done = ran(folder, *words)
-        assert done.returncode == 3 and "scene/lock` is a" in done.stderr and "move it away" in done.stderr, done.stderr
+        process = ran(folder, *words)
+        assert process.returncode == 3 and "scene/lock` is a" in process.stderr and "move it away" in process.stderr, (
+            process.stderr
+        )
 
 
 @pytest.mark.parametrize("number", [errno.ENOLCK, errno.EOPNOTSUPP, errno.EIO])
 def test_a_disk_without_locks_is_no_other_run(unbroken: Path, tmp_path: Path, number: int) -> None:
     folder = project(tmp_path / "p")
     with patch("fcntl.flock", side_effect=OSError(number, os.strerror(number))):
-        done = ran(folder)
-    assert done.returncode == 3 and "process" not in done.stderr and "scene/lock`" in done.stderr, done.stderr
-    assert "--resume" in done.stderr
+        process = ran(folder)
+    assert process.returncode == 3 and "process" not in process.stderr and "scene/lock`" in process.stderr, process.stderr
+    assert "--resume" in process.stderr
     assert ran(folder).returncode == 0
     assert_same(folder, unbroken)
 
@@ -201,8 +203,8 @@ def test_a_clock_that_is_set_back_or_ahead_changes_nothing(unbroken: Path, tmp_p
     for number, path in enumerate(sorted(folder.rglob("*"))):
         os.utime(path, (1.7e9 + (-1) ** number * seconds,) * 2)
     flip(frame_path(folder / "out" / "scene", 4))
-    done = ran(folder, "--resume")
-    assert done.returncode == 0 and "frames 4 to 5 are made again" in done.stderr, done.stderr
+    process = ran(folder, "--resume")
+    assert process.returncode == 0 and "frames 4 to 5 are made again" in process.stderr, process.stderr
     assert_same(folder, unbroken)
 
 
@@ -212,12 +214,12 @@ def flip(path: Path, at: float = 0.5) -> None:
     path.write_bytes(data)
 
 
-def test_a_folder_that_may_not_be_written_is_told_before_anything_is_made(tmp_path: Path) -> None:
+def test_an_unwritable_folder_is_reported_before_anything_is_created(tmp_path: Path) -> None:
     """As root writes everywhere, the calls are made to fail as those of a disk that is mounted to be read."""
     folder = project(tmp_path / "p")
     with Faults(folder / "out", 0, Fault(errno.EROFS, lasting=True)):
-        done = ran(folder)
-    assert done.returncode == 3 and "read-only" in done.stderr and "`--out`" in done.stderr, done.stderr
+        process = ran(folder)
+    assert process.returncode == 3 and "read-only" in process.stderr and "`--out`" in process.stderr, process.stderr
     assert not list((folder / "out").iterdir())
 
 
@@ -226,19 +228,19 @@ def test_a_folder_that_may_not_be_written_is_told_before_anything_is_made(tmp_pa
 
 def without_memory(folder: Path, at: int, lasting: bool, unbroken: Path) -> None:
     """A run in which an array cannot be allocated ends in words, and goes on."""
-    with MEMORY.asked():
+    with MEMORY.intercept():
         MEMORY.at, MEMORY.lasting = at, lasting
-        done = ran(folder)
-    assert done.returncode in (0, 3), (at, done.stderr)  # 0: what was begun beside the run was not needed
-    if done.returncode:
-        assert "out of memory" in done.stderr, (at, done.stderr)
-        assert "antdsl run scene.yaml" in done.stderr or "run the same command again" in done.stderr, (at, done.stderr)
+        process = ran(folder)
+    assert process.returncode in (0, 3), (at, process.stderr)  # 0: what was begun beside the run was not needed
+    if process.returncode:
+        assert "out of memory" in process.stderr, (at, process.stderr)
+        assert "antdsl run scene.yaml" in process.stderr or "run the same command again" in process.stderr, (at, process.stderr)
     assert ran(folder, "--resume").returncode == 0
     assert_same(folder, unbroken)
 
 
 def allocations(folder: Path) -> int:
-    with MEMORY.asked():
+    with MEMORY.intercept():
         assert ran(folder).returncode == 0
     return MEMORY.count
 

@@ -15,13 +15,13 @@ from unittest.mock import patch
 import numpy as np
 import pytest
 from fault_shim import FAULTS, STYLES, Disk, Fault, Faults
-from fault_shots import BESIDE, MADE, WRITERS, Inline, copied, files, project, ran, same, written
+from fault_shots import BESIDE, OUTPUT_FOLDER, WRITERS, Inline, copied, files, project, ran, same, written
 from kills import kill
 from sampling import sampled
 
 from antdsl.cli import _run
 from antdsl.outputs.pictures import film
-from antdsl.sweep.finished_runs import Keeper
+from antdsl.sweep.finished_runs import RunStore
 
 SAMPLE = ("csv", "geo", "edit", "golden", "fmt")
 
@@ -33,45 +33,45 @@ def unbroken(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def broken(unbroken: Path, folder: Path, name: str, at: int, fault: Fault, whole: dict[str, bytes]) -> str | None:
+def broken(unbroken: Path, folder: Path, name: str, at: int, fault: Fault, expected_files: dict[str, bytes]) -> str | None:
     """Run a writer with a fault, see that each file is the old one or the new one, and run it again. What was failed."""
     copied(unbroken, folder)
-    old = {path: b"old" for path in whole if "/" in path and path.count("/") == 1}
+    old = {path: b"old" for path in expected_files if "/" in path and path.count("/") == 1}
     for path, data in old.items():
         (folder / path).write_bytes(data)
     old |= {path: (unbroken / path).read_bytes() for path in BESIDE.get(name, ()) if (unbroken / path).exists()}
-    root = folder if name in BESIDE else folder / MADE
+    root = folder if name in BESIDE else folder / OUTPUT_FOLDER
     with Faults(root, at, fault) as calls:
         code, words = written(folder, name)
-    about = (name, at, str(fault), calls.hit, words)
+    context = (name, at, str(fault), calls.hit, words)
     is_unread = (calls.hit or "").startswith("open ") and "error[" in words  # what a scene names has its place in the scene
-    assert code in ((0, 3) if calls.hit else (0,)) or (is_unread and code == 1), about
+    assert code in ((0, 3) if calls.hit else (0,)) or (is_unread and code == 1), context
     if code:
         first, *rest = words[words.index("error") :].splitlines()
-        names = ("scene.yaml`", "walker.ant`", "walker.svg`", "scene.golden.json`", f"{MADE}`", f"{MADE}/")
-        assert any(word in first for word in names), about
+        names = ("scene.yaml`", "walker.ant`", "walker.svg`", "scene.golden.json`", f"{OUTPUT_FOLDER}`", f"{OUTPUT_FOLDER}/")
+        assert any(word in first for word in names), context
         if not first.startswith("error["):  # of a file that could not be read
-            assert any(word in rest[0] for word in ("again", "`--", "--resume", "goes on", "check the name")), about
+            assert any(word in rest[0] for word in ("again", "`--", "--resume", "goes on", "check the name")), context
     for path, data in files(folder, name).items():
         if name != "edit" and "/runs/" not in path and not os.path.basename(path).startswith("."):
-            assert data == old.get(path) or same(name, path, data, whole[path]), (path, *about)
-    if name == "new" and (folder / MADE / "project").exists():
-        shutil.rmtree(folder / MADE / "project")  # it writes into empty folders only
+            assert data == old.get(path) or same(name, path, data, expected_files[path]), (path, *context)
+    if name == "new" and (folder / OUTPUT_FOLDER / "project").exists():
+        shutil.rmtree(folder / OUTPUT_FOLDER / "project")  # it writes into empty folders only
     code, words = written(folder, name)
-    assert code == 0, (*about, words)
-    found = files(folder, name)
+    assert code == 0, (*context, words)
+    final_files = files(folder, name)
     if (calls.hit or "").startswith("unlink "):  # a file that could not be removed then: the next process removes it
-        found = {path: data for path, data in found.items() if not os.path.basename(path).startswith(".")}
-    assert found.keys() == whole.keys(), about
-    for path, data in found.items():
-        assert same(name, path, data, whole[path]), (path, *about)
+        final_files = {path: data for path, data in final_files.items() if not os.path.basename(path).startswith(".")}
+    assert final_files.keys() == expected_files.keys(), context
+    for path, data in final_files.items():
+        assert same(name, path, data, expected_files[path]), (path, *context)
     return calls.hit
 
 
 def expected(unbroken: Path, folder: Path, name: str) -> tuple[dict[str, bytes], int]:
     """The files of an undisturbed writer, and how many calls it makes."""
     copied(unbroken, folder)
-    with Faults(folder if name in BESIDE else folder / MADE) as calls:
+    with Faults(folder if name in BESIDE else folder / OUTPUT_FOLDER) as calls:
         assert written(folder, name)[0] == 0
     return files(folder, name), calls.count
 
@@ -90,50 +90,50 @@ def needed(name: str) -> None:
 def test_a_fault_at_some_call_leaves_the_old_file_or_the_new_one(unbroken: Path, tmp_path: Path, name: str) -> None:
     needed(name)
     chance = random.Random(name)
-    whole, count = expected(unbroken, tmp_path / "whole", name)
-    assert whole and count
-    assert broken(unbroken, tmp_path / "p", name, chance.randrange(count), chance.choice(FAULTS), whole)
+    expected_files, count = expected(unbroken, tmp_path / "whole", name)
+    assert expected_files and count
+    assert broken(unbroken, tmp_path / "p", name, chance.randrange(count), chance.choice(FAULTS), expected_files)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", WRITERS)
 def test_a_fault_at_every_call_leaves_the_old_file_or_the_new_one(unbroken: Path, tmp_path: Path, name: str) -> None:
     needed(name)
-    whole, count = expected(unbroken, tmp_path / "whole", name)
+    expected_files, count = expected(unbroken, tmp_path / "whole", name)
     for at in range(count):
-        broken(unbroken, tmp_path / "p", name, at, FAULTS[at % len(FAULTS)], whole)
+        broken(unbroken, tmp_path / "p", name, at, FAULTS[at % len(FAULTS)], expected_files)
         shutil.rmtree(tmp_path / "p")
 
 
-def lost(unbroken: Path, folder: Path, name: str, disk: Disk, at: int, style: str, whole: dict[str, bytes]) -> None:
+def lost(unbroken: Path, folder: Path, name: str, disk: Disk, at: int, style: str, expected_files: dict[str, bytes]) -> None:
     """After a power loss a file that has its name is whole, and the same command again writes all files."""
     shutil.copytree(unbroken, folder)
-    disk.loss(at, style, folder / MADE)
-    about = (name, at, style)
+    disk.loss(at, style, folder / OUTPUT_FOLDER)
+    context = (name, at, style)
     if at == len(disk.calls) and name == "edit":  # the command had ended
-        assert files(folder, name) == whole, about
-    manifest = folder / MADE / "edited" / "manifest.json"
+        assert files(folder, name) == expected_files, context
+    manifest = folder / OUTPUT_FOLDER / "edited" / "manifest.json"
     if name != "edit" or manifest.exists():  # an edited cache that is not complete has no manifest
         for path, data in files(folder, name).items():
             if "/runs/" not in path and not os.path.basename(path).startswith("."):
-                assert same(name, path, data, whole[path]), (path, *about)
+                assert same(name, path, data, expected_files[path]), (path, *context)
     code, words = written(folder, name)
-    assert code == 0, (*about, words)
-    found = {path: data for path, data in files(folder, name).items() if not os.path.basename(path).startswith(".")}
-    assert found.keys() == whole.keys(), about
-    for path, data in found.items():
-        assert same(name, path, data, whole[path]), (path, *about)
+    assert code == 0, (*context, words)
+    final_files = {path: data for path, data in files(folder, name).items() if not os.path.basename(path).startswith(".")}
+    assert final_files.keys() == expected_files.keys(), context
+    for path, data in final_files.items():
+        assert same(name, path, data, expected_files[path]), (path, *context)
 
 
 @pytest.mark.parametrize("name", sampled(("csv", "edit", "sweep"), ("edit",)))
 def test_a_power_loss_at_some_calls_leaves_whole_files(unbroken: Path, tmp_path: Path, name: str) -> None:
     chance, folder = random.Random(name), copied(unbroken, tmp_path / "whole")
-    with Disk(folder / MADE) as disk:
+    with Disk(folder / OUTPUT_FOLDER) as disk:
         assert written(folder, name)[0] == 0
-    whole = files(folder, name)
+    expected_files = files(folder, name)
     for number, style in enumerate(STYLES):
-        lost(unbroken, tmp_path / f"{number}", name, disk, chance.randrange(len(disk.calls) + 1), style, whole)
-    lost(unbroken, tmp_path / "end", name, disk, len(disk.calls), "nothing", whole)
+        lost(unbroken, tmp_path / f"{number}", name, disk, chance.randrange(len(disk.calls) + 1), style, expected_files)
+    lost(unbroken, tmp_path / "end", name, disk, len(disk.calls), "nothing", expected_files)
 
 
 def limited(size: int, work: Callable[[], int]) -> int:
@@ -157,8 +157,8 @@ def test_usd_on_a_full_disk_is_no_bug_and_leaves_the_old_file(unbroken: Path, tm
     pytest.importorskip("pxr")
     folder = copied(unbroken, tmp_path / "p")
     assert written(folder, name)[0] == 0
-    whole = files(folder, name)
-    size = max(map(len, whole.values()))
+    old_files = files(folder, name)
+    size = max(map(len, old_files.values()))
 
     def export() -> int:
         nowhere = os.open(os.devnull, os.O_WRONLY)
@@ -171,7 +171,7 @@ def test_usd_on_a_full_disk_is_no_bug_and_leaves_the_old_file(unbroken: Path, tm
 
     for limit in (1, size // 2, size - 10):
         assert limited(limit, export) == 3
-        assert files(folder, name) == whole
+        assert files(folder, name) == old_files
 
 
 @pytest.mark.skipif(os.name == "nt", reason="there is no such limit")
@@ -196,18 +196,18 @@ def test_a_film_on_a_full_disk_is_not_written(tmp_path: Path) -> None:
 def test_a_finished_run_of_a_sweep_that_was_damaged_is_run_again(unbroken: Path, tmp_path: Path) -> None:
     folder = copied(unbroken, tmp_path / "p")
     assert written(folder, "sweep")[0] == 0
-    keeper = Keeper(folder / MADE / "sweep")
-    (path, *_) = sorted(keeper.runs.glob("*.json"))
+    run_store = RunStore(folder / OUTPUT_FOLDER / "sweep")
+    (path, *_) = sorted(run_store.runs.glob("*.json"))
     data, document = path.read_bytes(), json.loads(path.read_bytes())
     job: Any = SimpleNamespace(key=document["key"])
-    assert keeper.kept(job) == document["measures"]
-    found = []
+    assert run_store.read_measures(job) == document["measures"]
+    results = []
     for at in range(0, len(data), 3):
         path.write_bytes(data[:at] + bytes([data[at] ^ 4]) + data[at + 1 :])
-        found.append(keeper.kept(job))
+        results.append(run_store.read_measures(job))
         path.write_bytes(data[:at])
-        found.append(keeper.kept(job))
-    assert all(each in (None, document["measures"]) for each in found) and found.count(None) > 0.9 * len(found)
+        results.append(run_store.read_measures(job))
+    assert all(each in (None, document["measures"]) for each in results) and results.count(None) > 0.9 * len(results)
 
 
 @pytest.mark.slow

@@ -116,7 +116,7 @@ def test_drawn_feet_are_where_frames_have_them_and_each_frame_stands_alone(cache
 
 def test_some_agents_have_their_own_feet(cache: Cache) -> None:
     gallery = Gallery(cache)
-    whole = gallery.picture(16).crowds[0]
+    full_crowd = gallery.picture(16).crowds[0]
     named, others = gallery.picture(16, agents=frozenset([2, 5])).crowds
-    assert whole.feet is not None and named.feet is not None and others.feet is not None
-    assert np.array_equal(named.feet.P, whole.feet.P[[2, 5]]) and len(others.feet.P) == 6
+    assert full_crowd.feet is not None and named.feet is not None and others.feet is not None
+    assert np.array_equal(named.feet.P, full_crowd.feet.P[[2, 5]]) and len(others.feet.P) == 6

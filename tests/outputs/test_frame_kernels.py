@@ -25,24 +25,24 @@ EXTREMES = np.array([0.0, -0.0, 1.0, -1.0, 1e-13, -1e-13, 1e-30, 1e30, np.inf, -
 
 @pytest.fixture
 def world() -> World:
-    made = bind(bare(block()), crowd(600, radius=90.0), Options(backend="numpy"))
+    bound_world = bind(bare(block()), crowd(600, radius=90.0), Options(backend="numpy"))
     rng = np.random.default_rng(5)
-    now = made.populations["ant"].now
+    now = bound_world.populations["ant"].now
     for name in ("heading", "up", "velocity"):
         for axis in "xyz":
             now[f"{name}.{axis}"][:300] = rng.choice(EXTREMES, 300)
             now[f"{name}.{axis}"][300:] = rng.normal(size=300)
     now["heading.x"][:40], now["heading.z"][:40] = -1.0, 0.0  # straight back, where `up` may lie along it
     now["heading.y"][:40] = rng.choice(EXTREMES[:2], 40)
-    return made
+    return bound_world
 
 
 def written(write: Callable[[NDArray[Any]], None], shape: tuple[int, ...]) -> NDArray[Any]:
     """What is written into the middle rows of an array: those beside them stay."""
-    whole = np.full((shape[0] + 5, *shape[1:]), 77, np.float32)
-    write(whole[2:-3])
-    assert (whole[:2] == 77).all() and (whole[-3:] == 77).all()
-    return whole[2:-3]
+    padded_array = np.full((shape[0] + 5, *shape[1:]), 77, np.float32)
+    write(padded_array[2:-3])
+    assert (padded_array[:2] == 77).all() and (padded_array[-3:] == 77).all()
+    return padded_array[2:-3]
 
 
 def mixed(population: Population) -> None:
@@ -57,7 +57,7 @@ def test_places_and_velocities_of_a_frame(world: World, attribute: str) -> None:
     mixed(population)
     population.position[:5] = -0.0
     rows = np.argsort(population.ids)
-    found = written(lambda out: write_placed(population, attribute, 0.1, out), (600, 3))
+    result = written(lambda out: write_placed(population, attribute, 0.1, out), (600, 3))
     if attribute == "P":
         expected = ((population.position[rows] + 0.0) * 0.1).astype(np.float32)
     else:
@@ -65,14 +65,16 @@ def test_places_and_velocities_of_a_frame(world: World, attribute: str) -> None:
         with np.errstate(all="ignore"):
             expected = velocity[rows] * np.float32(0.1)
     unknown = np.isnan(expected)
-    assert (found.view(np.int32) == expected.view(np.int32))[~unknown].all() and np.isnan(found[unknown]).all()
+    assert (result.view(np.int32) == expected.view(np.int32))[~unknown].all() and np.isnan(result[unknown]).all()
 
 
 def test_orientations_of_a_frame_turn_the_axes_as_they_say(world: World) -> None:
     """+x to the heading, +x where there is none, and +y as near to up as can be."""
     population = world.populations["ant"]
     mixed(population)
-    found = written(lambda out: write_placed(population, "orient", 0.1, out), (600, 4))[np.argsort(np.argsort(population.ids))]
+    orientations = written(lambda out: write_placed(population, "orient", 0.1, out), (600, 4))[
+        np.argsort(np.argsort(population.ids))
+    ]
     heading, up = (
         np.stack([population.now[f"{name}.{axis}"] for axis in "xyz"], axis=1).astype(np.float64) for name in ("heading", "up")
     )
@@ -80,7 +82,7 @@ def test_orientations_of_a_frame_turn_the_axes_as_they_say(world: World) -> None
         size = np.sqrt((heading * heading).sum(axis=1))
         heading = np.where(size[:, None] < 1e-12, [1.0, 0, 0], heading / np.where(size < 1e-12, 1, size)[:, None])
         sound = np.isfinite(heading).all(axis=1) & np.isfinite(up).all(axis=1) & (np.abs(up).max(axis=1) < 1e20)
-    x, y, z, w = np.nan_to_num(found.astype(np.float64)).T
+    x, y, z, w = np.nan_to_num(orientations.astype(np.float64)).T
     heading, up = np.where(sound[:, None], heading, 0.0), np.where(sound[:, None], up, 0.0)
     along = np.stack([1 - 2 * (y * y + z * z), 2 * (x * y + z * w), 2 * (x * z - y * w)], axis=1)
     above = np.stack([2 * (x * y - z * w), 1 - 2 * (x * x + z * z), 2 * (y * z + x * w)], axis=1)
@@ -100,9 +102,9 @@ def test_numbers_of_agents(world: World) -> None:
     population = world.populations["ant"]
     mixed(population)
     population.now["size"][:] = np.random.default_rng(9).choice(EXTREMES, 600)
-    found = written(lambda out: write_numbers(population, "size", 0.1, out), (600,))
+    sizes = written(lambda out: write_numbers(population, "size", 0.1, out), (600,))
     expected = population.now["size"][np.argsort(population.ids)] * np.float32(0.1)
-    assert np.array_equal(expected, found, equal_nan=True) and len(np.unique(expected)) > 5
+    assert np.array_equal(expected, sizes, equal_nan=True) and len(np.unique(expected)) > 5
 
 
 @pytest.mark.parametrize("three", [False, True])
@@ -121,13 +123,13 @@ def test_what_agents_play(three: bool) -> None:
 
     rows = np.argsort(ids)
     population = Some(name="ant", plan=plan, now=now, ranks=lambda: ids.astype(np.int32), in_id_order=lambda: rows)
-    found = clips_playing(population)  # type: ignore[arg-type]
-    assert list(found) == [f"clips.ant.m.{field}" for field in FIELDS if three or field not in EARLIER]
-    for name, array in found.items():
+    clip_arrays = clips_playing(population)  # type: ignore[arg-type]
+    assert list(clip_arrays) == [f"clips.ant.m.{field}" for field in FIELDS if three or field not in EARLIER]
+    for name, array in clip_arrays.items():
         register, kind = _REGISTERS[name.rsplit(".", 1)[1]]
         assert array.dtype == kind and np.array_equal(array, now[f"m.{register}"][rows]) and len(np.unique(array)) > 1
-    some = clips_playing(population, np.array([3, 1]))  # type: ignore[arg-type]
-    assert all(np.array_equal(array, found[name][ids[[3, 1]]]) for name, array in some.items())
+    subset = clips_playing(population, np.array([3, 1]))  # type: ignore[arg-type]
+    assert all(np.array_equal(array, clip_arrays[name][ids[[3, 1]]]) for name, array in subset.items())
 
 
 @pytest.mark.parametrize("odd", [0.0, np.nan])
@@ -158,15 +160,15 @@ def test_cells_of_a_field(count: int) -> None:
 
 def test_who_wears_a_layer() -> None:
     rng = np.random.default_rng(4)
-    on, ids, before = rng.random(500) < 0.3, rng.permutation(500), rng.integers(0, 2**63, 500).astype(np.uint64)
-    population, found, rows = SimpleNamespace(ranks=lambda: ids.astype(np.int32)), before.copy(), np.argsort(ids)
+    on, ids, initial_bits = rng.random(500) < 0.3, rng.permutation(500), rng.integers(0, 2**63, 500).astype(np.uint64)
+    population, layer_bits, rows = SimpleNamespace(ranks=lambda: ids.astype(np.int32)), initial_bits.copy(), np.argsort(ids)
     for bit in (0, 5, 63):
-        _put_on(population, on, None, np.uint64(1 << bit), found)  # type: ignore[arg-type]
-    expected = np.where(on[rows], before | np.uint64(1 | 1 << 5 | 1 << 63), before)
-    assert np.array_equal(found, expected) and not np.array_equal(found, before)
-    some = before[:2].copy()
-    _put_on(population, on, np.flatnonzero(on)[:2], np.uint64(4), some)  # type: ignore[arg-type]
-    assert np.array_equal(some, before[:2] | np.uint64(4))
+        _put_on(population, on, None, np.uint64(1 << bit), layer_bits)  # type: ignore[arg-type]
+    expected = np.where(on[rows], initial_bits | np.uint64(1 | 1 << 5 | 1 << 63), initial_bits)
+    assert np.array_equal(layer_bits, expected) and not np.array_equal(layer_bits, initial_bits)
+    subset_bits = initial_bits[:2].copy()
+    _put_on(population, on, np.flatnonzero(on)[:2], np.uint64(4), subset_bits)  # type: ignore[arg-type]
+    assert np.array_equal(subset_bits, initial_bits[:2] | np.uint64(4))
 
 
 def test_colours_of_states() -> None:
@@ -175,12 +177,12 @@ def test_colours_of_states() -> None:
     plan = SimpleNamespace(machines=[SimpleNamespace(name="m")])
     population = SimpleNamespace(plan=plan, now={"m.state": states}, ranks=lambda: ids.astype(np.int32))
     colours = np.random.default_rng(7).random((5, 3)).astype(np.float32)
-    found = written(lambda out: write_colours(population, colours, out), (300, 3))  # type: ignore[arg-type]
-    assert np.array_equal(found[ids], colours[states])
+    result = written(lambda out: write_colours(population, colours, out), (300, 3))  # type: ignore[arg-type]
+    assert np.array_equal(result[ids], colours[states])
     for wrong in (5, -1):
         states[17] = wrong
         with pytest.raises(IndexError):
-            write_colours(population, colours, found)  # type: ignore[arg-type]
+            write_colours(population, colours, result)  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize(("count", "threads"), [(0, 1), (3, 1), (700, 1), (5_000, 2)])
@@ -203,9 +205,9 @@ def test_feet_of_a_frame(count: int, threads: int) -> None:
         }
     assert list(arrays) == [f"feet.ant.{name}" for name in expected]
     for name, array in expected.items():
-        made = arrays[f"feet.ant.{name}"]
-        assert made.dtype == array.dtype and made.shape == array.shape and made.flags.c_contiguous
+        result = arrays[f"feet.ant.{name}"]
+        assert result.dtype == array.dtype and result.shape == array.shape and result.flags.c_contiguous
         kind = f"u{array.itemsize}"
         number = np.isnan(array) if array.dtype.kind == "f" else np.zeros(array.shape, np.bool_)
-        assert (np.ascontiguousarray(array).view(kind)[~number] == made.view(kind)[~number]).all()
-        assert array.dtype.kind != "f" or (np.isnan(made) == number).all()
+        assert (np.ascontiguousarray(array).view(kind)[~number] == result.view(kind)[~number]).all()
+        assert array.dtype.kind != "f" or (np.isnan(result) == number).all()

@@ -53,7 +53,7 @@ camera: {at: [0, 12, 30], look_at: [0, 0, 0], focal: 50 mm}
 """
 
 
-def made(folder: Path, up: str) -> Path:
+def create_cache(folder: Path, up: str) -> Path:
     (folder / "bug.ant").write_text(BUG)
     (folder / "scene.yaml").write_text(SCENE.replace("UP", up))
     (folder / "arm.glb").write_bytes(binary(*arm()))
@@ -61,48 +61,48 @@ def made(folder: Path, up: str) -> Path:
     if up == "z":
         ground = "v -9 9 0\nv 9 9 3\nv 9 -9 0\nv -9 -9 -5\nf 1 4 3\nf 1 3 2\n"
     (folder / "ground.obj").write_text(ground)
-    done = RUN.invoke(app, ["run", str(folder / "scene.yaml"), "--out", str(folder / "cache"), "--backend", "numpy", "-q"])
-    assert done.exit_code == 0, done.output
+    result = RUN.invoke(app, ["run", str(folder / "scene.yaml"), "--out", str(folder / "cache"), "--backend", "numpy", "-q"])
+    assert result.exit_code == 0, result.output
     return folder / "cache"
 
 
 @pytest.fixture(scope="module", params=["y", "z"])
 def cache(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return made(tmp_path_factory.mktemp("gltf"), request.param)
+    return create_cache(tmp_path_factory.mktemp("gltf"), request.param)
 
 
 def exported(cache: Path, path: Path, *words: str) -> str:
-    done = RUN.invoke(app, ["export", str(cache), "--to", str(path), *words])
-    assert done.exit_code == 0, done.output
-    return done.output
+    result = RUN.invoke(app, ["export", str(cache), "--to", str(path), *words])
+    assert result.exit_code == 0, result.output
+    return result.output
 
 
 @pytest.mark.parametrize("ending", [".glb", ".gltf"])
 def test_points_are_where_pictures_draw_them(cache: Path, tmp_path: Path, ending: str) -> None:
-    told = exported(cache, tmp_path / f"bugs{ending}")
-    assert "frames 3..26" in told and "keep the colour of their first state" in told
+    output = exported(cache, tmp_path / f"bugs{ending}")
+    assert "frames 3..26" in output and "keep the colour of their first state" in output
     scene = Scene((tmp_path / f"bugs{ending}").read_bytes())
     scene.check()
     gallery = Gallery(open_cache(cache))
     nodes = {node["name"]: number for number, node in enumerate(scene.tree["nodes"])}
-    up_is_z, gone, changed = gallery.manifest.up == "z", 0, set()
+    up_is_z, hidden_count, changed = gallery.manifest.up == "z", 0, set()
     for frame in range(3, 27, 4 if ending == ".glb" else 11):
         _, points = scene.at((frame - 3) / 24)
         (crowd,) = gallery.picture(frame).crowds
         assert crowd.worn is not None and crowd.ids is not None
         body = crowd.worn.posed(crowd.plays, len(crowd.position))[0].astype(float)
-        wanted = turned(crowd.orient, body) * crowd.scale[:, None, None] + crowd.position[:, None]
+        expected = turned(crowd.orient, body) * crowd.scale[:, None, None] + crowd.position[:, None]
         if up_is_z:
-            wanted = np.stack([wanted[..., 0], wanted[..., 2], -wanted[..., 1]], axis=-1)
+            expected = np.stack([expected[..., 0], expected[..., 2], -expected[..., 1]], axis=-1)
         for row, one in enumerate(crowd.ids.tolist()):
-            assert np.abs(points[nodes[f"bug_{one}_arm"]] - wanted[row] / 100).max() < 2e-7, "metres; a body is 4e-3 long"
+            assert np.abs(points[nodes[f"bug_{one}_arm"]] - expected[row] / 100).max() < 2e-7, "metres; a body is 4e-3 long"
             changed.add(tuple(np.round(body[row].ravel(), 3)))
         away = [name for name in nodes if name.startswith("bug_") and name.endswith("_arm")]
         for name in away:
             if int(name.split("_")[1]) not in crowd.ids:
-                gone += 1
+                hidden_count += 1
                 assert np.ptp(points[nodes[name]], axis=0).max() == 0
-    assert gone > 5, "some are born and some die"
+    assert hidden_count > 5, "some are born and some die"
     assert len(changed) > 20, "they play"
 
 
@@ -129,11 +129,11 @@ def test_frames_that_are_missing_leave_their_time(cache: Path, tmp_path: Path) -
         (gaps / "frames" / f"frame.{frame:04d}.npz").unlink()
     for folder, name in ((cache, "all.glb"), (gaps, "gaps.glb")):
         exported(folder, tmp_path / name, "--ids", "0..3", "-q")
-    whole, less = (Scene((tmp_path / name).read_bytes()) for name in ("all.glb", "gaps.glb"))
-    number = [node["name"] for node in less.tree["nodes"]].index("bug_1_arm")
+    full_scene, partial_scene = (Scene((tmp_path / name).read_bytes()) for name in ("all.glb", "gaps.glb"))
+    number = [node["name"] for node in partial_scene.tree["nodes"]].index("bug_1_arm")
     for frame in (3, 9, 26):
         seconds = (frame - 3) / 24
-        assert np.abs(less.at(seconds)[1][number] - whole.at(seconds)[1][number]).max() < 1e-6, frame
+        assert np.abs(partial_scene.at(seconds)[1][number] - full_scene.at(seconds)[1][number]).max() < 1e-6, frame
 
 
 def test_others_read_it(cache: Path, tmp_path: Path) -> None:
@@ -148,5 +148,10 @@ def test_others_read_it(cache: Path, tmp_path: Path) -> None:
 
 def test_large_crowds_are_refused_with_what_to_do(cache: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("antdsl.outputs.gltf_export._AGENTS", 9)
-    done = run("export", str(cache), "--to", str(tmp_path / "bugs.glb"), cwd=tmp_path)
-    assert done.returncode == 1 and "small crowds" in done.stderr and "--ids" in done.stderr and not list(tmp_path.iterdir())
+    process = run("export", str(cache), "--to", str(tmp_path / "bugs.glb"), cwd=tmp_path)
+    assert (
+        process.returncode == 1
+        and "small crowds" in process.stderr
+        and "--ids" in process.stderr
+        and not list(tmp_path.iterdir())
+    )

@@ -22,18 +22,18 @@ SMALL = ("--width", "96", "--height", "54", "--threads", "1")
 @pytest.fixture(scope="module")
 def cache(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("kept")
-    done = commands.run(
+    process = commands.run(
         "run", str(ROOT / "examples/minimal/scene.yaml"), "--frames", "1..6", "--out", "cache", "--quiet", cwd=folder
     )
-    assert done.returncode == 0, done.stderr
+    assert process.returncode == 0, process.stderr
     return folder / "cache"
 
 
 def drawn(cache: Path, to: Path, *words: str) -> list[str]:
     """The names of the pictures that were drawn, and what else was said."""
-    done = commands.run("render", str(cache), "--out", str(to), *SMALL, *words, cwd=cache.parent)
-    assert done.returncode == 0, done.stderr
-    return [Path(line).name for line in done.stdout.splitlines()]
+    process = commands.run("render", str(cache), "--out", str(to), *SMALL, *words, cwd=cache.parent)
+    assert process.returncode == 0, process.stderr
+    return [Path(line).name for line in process.stdout.splitlines()]
 
 
 def name(*frames: int) -> list[str]:
@@ -53,8 +53,8 @@ def test_chunks_of_a_shot_are_the_pictures_of_its_film(cache: Path, tmp_path: Pa
         drawn(cache, tmp_path / "chunks", "--frames", chunk, *look)
     assert pixels(tmp_path / "chunks") == pixels(tmp_path / "whole") and len(pixels(tmp_path / "whole")) == 6
     drawn(cache, tmp_path / "alone", "--frames", "5..6", "--camera", camera, "--show", "none")
-    alone, whole = pixels(tmp_path / "alone"), pixels(tmp_path / "whole")
-    assert all(alone[each] != whole[each] for each in name(5, 6)), "by itself a chunk has a camera of its own"
+    alone, film_pixels = pixels(tmp_path / "alone"), pixels(tmp_path / "whole")
+    assert all(alone[each] != film_pixels[each] for each in name(5, 6)), "by itself a chunk has a camera of its own"
 
 
 def test_whole_pictures_of_the_same_look_are_not_drawn_again(cache: Path, tmp_path: Path) -> None:
@@ -107,14 +107,14 @@ def test_a_termination_leaves_whole_pictures_and_its_own_exit_code(
     cache: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     from antdsl.outputs import drawing
-    from antdsl.whole import whole_file
+    from antdsl.whole import atomic_file
 
     put, count = drawing.Stills.put, []
 
     def ended(self: drawing.Stills, frame: int, image: object) -> Path:
         count.append(frame)
         if len(count) == 3:
-            with whole_file(drawing.still_path(self.folder, frame)) as file:
+            with atomic_file(drawing.still_path(self.folder, frame)) as file:
                 file.write(b"half")
                 signal.raise_signal(signal.SIGTERM)
         return put(self, frame, image)  # type: ignore[arg-type]

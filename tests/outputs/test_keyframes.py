@@ -47,21 +47,21 @@ crowd:
 """
 
 
-def about(axis: int, degrees: np.ndarray) -> np.ndarray:
+def axis_rotations(axis: int, degrees: np.ndarray) -> np.ndarray:
     """Matrices (n, 3, 3) of turns about an axis."""
     angle = np.radians(degrees)
-    made = np.zeros((len(angle), 3, 3))
-    made[:, axis, axis] = 1
+    matrices = np.zeros((len(angle), 3, 3))
+    matrices[:, axis, axis] = 1
     a, b = [k for k in range(3) if k != axis]
     sign = -1.0 if axis == 1 else 1.0
-    made[:, a, a] = made[:, b, b] = np.cos(angle)
-    made[:, a, b], made[:, b, a] = -sign * np.sin(angle), sign * np.sin(angle)
-    return made
+    matrices[:, a, a] = matrices[:, b, b] = np.cos(angle)
+    matrices[:, a, b], matrices[:, b, a] = -sign * np.sin(angle), sign * np.sin(angle)
+    return matrices
 
 
 def composed(degrees: np.ndarray) -> np.ndarray:
     """About x first, then y, then z."""
-    return about(2, degrees[:, 2]) @ about(1, degrees[:, 1]) @ about(0, degrees[:, 0])
+    return axis_rotations(2, degrees[:, 2]) @ axis_rotations(1, degrees[:, 1]) @ axis_rotations(0, degrees[:, 0])
 
 
 def quaternions(turn: np.ndarray) -> np.ndarray:
@@ -72,9 +72,9 @@ def quaternions(turn: np.ndarray) -> np.ndarray:
 
 def test_random_turns_come_back() -> None:
     quats = np.random.default_rng(4).normal(size=(5000, 4))
-    found = np.degrees(nearest_angles(rotation(quats), np.zeros((5000, 3))))
-    assert np.abs(composed(found) - rotation(quats)).max() < 1e-12
-    assert np.abs(found).max() < 180.1 and found[:, 1].min() < -90 and found[:, 1].max() > 90
+    angles = np.degrees(nearest_angles(rotation(quats), np.zeros((5000, 3))))
+    assert np.abs(composed(angles) - rotation(quats)).max() < 1e-12
+    assert np.abs(angles).max() < 180.1 and angles[:, 1].min() < -90 and angles[:, 1].max() > 90
 
 
 @pytest.mark.parametrize("away", [0.0, 1e-9, 1e-7, 1e-5, 1e-3])
@@ -82,27 +82,27 @@ def test_random_turns_come_back() -> None:
 def test_where_two_axes_lie_on_each_other_the_three_still_make_the_turn(away: float, side: float) -> None:
     inner = np.linspace(-170, 170, 35)
     turn = composed(np.stack([inner, np.full(35, side - away), np.full(35, 20.0)], axis=1))
-    before = np.radians(np.tile([3.0, side, 25.0], (35, 1)))
-    assert np.abs(composed(np.degrees(nearest_angles(turn, before))) - turn).max() < 2e-6
+    previous_angles = np.radians(np.tile([3.0, side, 25.0], (35, 1)))
+    assert np.abs(composed(np.degrees(nearest_angles(turn, previous_angles))) - turn).max() < 2e-6
 
 
 def test_curves_go_on_over_whole_turns_and_past_the_quarter() -> None:
     frames = np.arange(200.0)
     yaw = np.stack([0 * frames, 7.0 * frames, 0 * frames], axis=1)  # on flat ground, y up, through ±90 degrees again and again
     roll = np.stack([-11.0 * frames, 20 + 0 * frames, 5 + 0 * frames], axis=1)
-    angles, found = Angles(), []
+    angles, curves = Angles(), []
     ids = np.array([4, 9])
     for k in range(200):
-        found.append(angles.of(ids, quaternions(composed(np.stack([yaw[k], roll[k]])))))
-    assert np.abs(np.array(found)[:, 0] - yaw).max() < 1e-4 and np.abs(np.array(found)[:, 1] - roll).max() < 1e-4
+        curves.append(angles.of(ids, quaternions(composed(np.stack([yaw[k], roll[k]])))))
+    assert np.abs(np.array(curves)[:, 0] - yaw).max() < 1e-4 and np.abs(np.array(curves)[:, 1] - roll).max() < 1e-4
 
 
-def test_who_comes_begins_anew_and_others_go_on() -> None:
+def test_new_agents_start_afresh_and_others_continue() -> None:
     angles = Angles()
     for degrees in (170.0, 190.0):
-        both = angles.of(np.array([1, 5]), quaternions(about(0, np.array([degrees, 10.0]))))
+        both = angles.of(np.array([1, 5]), quaternions(axis_rotations(0, np.array([degrees, 10.0]))))
     assert both[0, 0] == pytest.approx(190)
-    later = angles.of(np.array([1, 3, 5]), quaternions(about(0, np.array([200.0, 200.0, 10.0]))))
+    later = angles.of(np.array([1, 3, 5]), quaternions(axis_rotations(0, np.array([200.0, 200.0, 10.0]))))
     assert later[:, 0] == pytest.approx([200, -160, 10])
 
 
@@ -113,15 +113,15 @@ def cache(tmp_path_factory: pytest.TempPathFactory) -> Path:
     (folder / "mite.ant").write_text(MITE)
     (folder / "scene.yaml").write_text(SCENE)
     (folder / "ground.obj").write_text("v -90 0 -90\nv 90 30 -90\nv 90 0 90\nv -90 -50 90\nf 1 4 3\nf 1 3 2\n")
-    done = RUN.invoke(app, ["run", str(folder / "scene.yaml"), "--out", str(folder / "cache"), "--backend", "numpy", "-q"])
-    assert done.exit_code == 0, done.output
+    result = RUN.invoke(app, ["run", str(folder / "scene.yaml"), "--out", str(folder / "cache"), "--backend", "numpy", "-q"])
+    assert result.exit_code == 0, result.output
     return folder / "cache"
 
 
 def export(cache: Path, *words: str) -> str:
-    done = RUN.invoke(app, ["export", str(cache), *words])
-    assert done.exit_code == 0, done.output
-    return done.output
+    result = RUN.invoke(app, ["export", str(cache), *words])
+    assert result.exit_code == 0, result.output
+    return result.output
 
 
 def test_a_table_is_read_back(cache: Path, tmp_path: Path) -> None:
@@ -129,24 +129,24 @@ def test_a_table_is_read_back(cache: Path, tmp_path: Path) -> None:
     with open(tmp_path / "keys.csv", newline="") as file:
         rows = list(csv.DictReader(file))
     assert list(rows[0]) == ["id", "frame", "tx", "ty", "tz", "rx", "ry", "rz", "sx", "sy", "sz", "species"]
-    kept, seen, turned = open_cache(cache), 0, 0.0
+    stored_cache, row_count, turned = open_cache(cache), 0, 0.0
     last: dict[tuple[str, str], np.ndarray] = {}
     for frame in range(3, 31):
-        arrays = kept.frame(frame)
-        here = [row for row in rows if row["frame"] == str(frame)]
-        assert len(here) == len(arrays["P"])
-        table = np.array([[float(row[key]) for key in list(row)[:11]] for row in here])
+        arrays = stored_cache.frame(frame)
+        frame_rows = [row for row in rows if row["frame"] == str(frame)]
+        assert len(frame_rows) == len(arrays["P"])
+        table = np.array([[float(row[key]) for key in list(row)[:11]] for row in frame_rows])
         assert np.array_equal(table[:, 0], arrays["id"]) and np.array_equal(table[:, 2:5].astype(np.float32), arrays["P"])
         assert np.array_equal(table[:, 8:].astype(np.float32), np.repeat(arrays["pscale"][:, None], 3, axis=1))
-        assert [("bug", "mite")[k] for k in arrays["species"]] == [row["species"] for row in here]
+        assert [("bug", "mite")[k] for k in arrays["species"]] == [row["species"] for row in frame_rows]
         assert np.abs(composed(table[:, 5:8]) - rotation(arrays["orient"].astype(np.float64))).max() < 1e-6
-        for row, angles in zip(here, table[:, 5:8], strict=True):
+        for row, angles in zip(frame_rows, table[:, 5:8], strict=True):
             name = row["species"], row["id"]
             if name in last:
                 turned = max(turned, float(np.abs(angles - last[name]).max()))
             last[name] = angles
-        seen += len(here)
-    assert seen == len(rows) and turned < 179.0
+        row_count += len(frame_rows)
+    assert row_count == len(rows) and turned < 179.0
 
 
 def test_some_frames_alone(cache: Path, tmp_path: Path) -> None:
@@ -160,15 +160,15 @@ def test_an_xform_an_agent_is_read_back(cache: Path, tmp_path: Path) -> None:
 
     export(cache, "--to", str(tmp_path / "keys.usda"), "--as", "xforms")
     stage = Usd.Stage.Open(str(tmp_path / "keys.usda"))
-    kept, hidden = open_cache(cache), 0
-    everybody = {prim.GetName(): prim for prim in stage.GetPrimAtPath("/World/bug").GetChildren()}
+    stored_cache, hidden = open_cache(cache), 0
+    prims = {prim.GetName(): prim for prim in stage.GetPrimAtPath("/World/bug").GetChildren()}
     assert len(stage.GetPrimAtPath("/World/mite").GetChildren()) == 3 and not stage.GetPrimAtPath("/World/bug/poses")
     for frame in range(3, 31):
-        arrays, time = kept.frame(frame), Usd.TimeCode(frame)
+        arrays, time = stored_cache.frame(frame), Usd.TimeCode(frame)
         rows = np.flatnonzero(arrays["species"] == 0)
         turn = rotation(arrays["orient"].astype(np.float64))
         for row in rows:
-            prim = everybody[f"agent_{arrays['id'][row]}"]
+            prim = prims[f"agent_{arrays['id'][row]}"]
             assert UsdGeom.Imageable(prim).ComputeVisibility(time) == "inherited"
             matrix = UsdGeom.Xformable(prim).ComputeLocalToWorldTransform(time)
             assert np.allclose(matrix.ExtractTranslation(), arrays["P"][row], atol=1e-5)
@@ -176,20 +176,20 @@ def test_an_xform_an_agent_is_read_back(cache: Path, tmp_path: Path) -> None:
             assert np.allclose(axes.T, turn[row] * arrays["pscale"][row], atol=1e-5)
             assert prim.GetAttribute("userProperties:id").Get() == arrays["id"][row]
             assert prim.GetAttribute("userProperties:state").Get(time) == arrays["state"][row]
-        away = set(everybody) - {f"agent_{name}" for name in arrays["id"][rows].tolist()}
-        assert all(UsdGeom.Imageable(everybody[name]).ComputeVisibility(time) == "invisible" for name in away)
+        away = set(prims) - {f"agent_{name}" for name in arrays["id"][rows].tolist()}
+        assert all(UsdGeom.Imageable(prims[name]).ComputeVisibility(time) == "invisible" for name in away)
         hidden += len(away)
     assert hidden > 20, "some are born and some die"
-    one = UsdGeom.Xformable(everybody["agent_0"])
+    one = UsdGeom.Xformable(prims["agent_0"])
     assert [op.GetOpName() for op in one.GetOrderedXformOps()] == ["xformOp:translate", "xformOp:rotateXYZ", "xformOp:scale"]
-    shape = everybody["agent_0"].GetChild("body")
+    shape = prims["agent_0"].GetChild("body")
     assert shape.IsA(UsdGeom.Mesh) and len(UsdGeom.Mesh(shape).GetPointsAttr().Get()) > 50
     assert shape.HasAuthoredPayloads() and len(UsdGeom.PrimvarsAPI(shape).GetPrimvar("displayColor").Get(3)) == 1
     assert stage.GetPrimAtPath("/World/ground").IsA(UsdGeom.Mesh)
     UsdValidation = pytest.importorskip("pxr.UsdValidation")
     validators = UsdValidation.ValidationRegistry().GetOrLoadAllValidators()
-    found = UsdValidation.ValidationContext(validators).Validate(stage)
-    assert [(e.GetName(), e.GetMessage()) for e in found] == []
+    errors = UsdValidation.ValidationContext(validators).Validate(stage)
+    assert [(e.GetName(), e.GetMessage()) for e in errors] == []
 
 
 @pytest.mark.parametrize(
@@ -201,6 +201,6 @@ def test_an_xform_an_agent_is_read_back(cache: Path, tmp_path: Path) -> None:
         (("keys.xyz", "xforms"), ".csv"),
     ],
 )
-def test_forms_that_are_none_are_told(cache: Path, tmp_path: Path, words: tuple[str, str], told: str) -> None:
-    done = RUN.invoke(app, ["export", str(cache), "--to", str(tmp_path / words[0]), "--as", words[1]])
-    assert done.exit_code == 2 and told in done.output and not list(tmp_path.iterdir())
+def test_unknown_forms_are_reported(cache: Path, tmp_path: Path, words: tuple[str, str], told: str) -> None:
+    result = RUN.invoke(app, ["export", str(cache), "--to", str(tmp_path / words[0]), "--as", words[1]])
+    assert result.exit_code == 2 and told in result.output and not list(tmp_path.iterdir())

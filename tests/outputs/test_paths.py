@@ -57,46 +57,46 @@ def cache(tmp_path_factory: pytest.TempPathFactory) -> Path:
     (folder / "ground.obj").write_text("\n".join(lines))
     (folder / "bug.ant").write_text(PROGRAM)
     (folder / "scene.yaml").write_text(SCENE)
-    done = RUN.invoke(app, ["run", str(folder / "scene.yaml"), "--out", str(folder / "cache"), "--backend", "numpy", "-q"])
-    assert done.exit_code == 0, done.output
+    result = RUN.invoke(app, ["run", str(folder / "scene.yaml"), "--out", str(folder / "cache"), "--backend", "numpy", "-q"])
+    assert result.exit_code == 0, result.output
     return folder / "cache"
 
 
 def test_paths_are_the_places_of_the_frames_around(cache: Path) -> None:
-    kept = open_cache(cache)
-    gallery = Gallery(kept, window=Window(0.25, 0.5))
-    born, gone = 0, 0
+    stored_cache = open_cache(cache)
+    gallery = Gallery(stored_cache, window=Window(0.25, 0.5))
+    born, dead = 0, 0
     for frame in (1, 2, 15, 29, 30):
         crowd = gallery.picture(frame).crowds[0]
         assert crowd.paths is not None and crowd.ids is not None
-        paths = crowd.paths.places
+        paths = crowd.paths.positions
         assert paths.shape == (len(crowd.ids), 6 + 1 + 12, 3) and crowd.paths.now == 6
         for k in range(paths.shape[1]):
             at = frame - 6 + k
             where = {}
             if 1 <= at <= 30:
-                arrays = kept.frame(at)
+                arrays = stored_cache.frame(at)
                 where = dict(zip(arrays["id"].tolist(), zip(arrays["P"], arrays["pscale"], strict=True), strict=True))
             for row, name in enumerate(crowd.ids.tolist()):
                 if name not in where:
                     assert np.isnan(paths[row, k]).all(), "nothing is made up where an agent is not there"
-                    born, gone = born + (1 <= at < frame), gone + (frame < at <= 30)
+                    born, dead = born + (1 <= at < frame), dead + (frame < at <= 30)
                     continue
                 place, size = where[name]
                 assert np.linalg.norm(paths[row, k] - place) == pytest.approx(0.06 * size, rel=1e-2)
         middle = (paths[:, 1:] + paths[:, :-1])[np.isfinite(paths[:, 1:] + paths[:, :-1]).all(axis=2)] / 2
         off = np.abs(middle[:, 1] - ripple(middle[:, 0], middle[:, 2]))
         assert off.max() < 0.8, "between two frames it lies on the ground, ripples of 6 mm and all"
-    assert born and gone
+    assert born and dead
 
 
 def test_named_agents_alone_have_paths_and_a_cut_keeps_rows_together(cache: Path) -> None:
     window = Window(0.1, 0.1)
     named, others = Gallery(open_cache(cache), window=window).picture(20, agents=frozenset([3])).crowds
-    assert named.paths is not None and len(named.paths.places) == 1 and others.paths is None
+    assert named.paths is not None and len(named.paths.positions) == 1 and others.paths is None
     part = Gallery(open_cache(cache), Cut.of("x > 0"), window).picture(20).crowds[0]
-    assert part.paths is not None and 0 < len(part.position) == len(part.paths.places)
-    assert np.abs(part.paths.places[:, part.paths.now] - part.position).max() < 0.5
+    assert part.paths is not None and 0 < len(part.position) == len(part.paths.positions)
+    assert np.abs(part.paths.positions[:, part.paths.now] - part.position).max() < 0.5
     assert Gallery(open_cache(cache)).picture(20).crowds[0].paths is None
 
 
@@ -107,8 +107,8 @@ def test_a_frame_that_is_missing_or_damaged_leaves_a_gap(cache: Path, tmp_path: 
     frame_path(copied, 9).write_bytes(b"no frame")
     paths = Gallery(open_cache(copied), window=Window(0.25, 0.25)).picture(10).crowds[0].paths
     assert paths is not None
-    there = np.isfinite(paths.places).all(axis=2).any(axis=0)
-    assert not there[5] and not there[8] and there[[4, 6, 7]].all()
+    is_present = np.isfinite(paths.positions).all(axis=2).any(axis=0)
+    assert not is_present[5] and not is_present[8] and is_present[[4, 6, 7]].all()
 
 
 ABOVE = Camera((0.0, 60.0, 0.01), (0.0, 0.0, 0.0), focal=30.0)
@@ -124,39 +124,39 @@ def picture(*solids: Solid) -> Picture:
     return Picture((Solid("floor", *sheet(line, line)), *solids), (ant,))
 
 
-def changes(drawn: Picture, *places: tuple[float, float, float]) -> list[float]:
+def changes(drawn: Picture, *points: tuple[float, float, float]) -> list[float]:
     """How much brighter the pixels about each place become by the paths."""
     with_paths, plain = (render_frame(drawn, ABOVE, 160, 90, show=show, samples=1).astype(int) for show in (("paths",), ()))
-    found = []
-    for column, row in view(ABOVE, 160, 90, (0.0, 1.0, 0.0)).project(np.array(places, float))[0].round().astype(int):
+    differences = []
+    for column, row in view(ABOVE, 160, 90, (0.0, 1.0, 0.0)).project(np.array(points, float))[0].round().astype(int):
         part = (with_paths - plain)[row - 2 : row + 3, column - 2 : column + 3].sum(axis=2)
-        found.append(float(part.ravel()[np.abs(part).argmax()]))
-    return found
+        differences.append(float(part.ravel()[np.abs(part).argmax()]))
+    return differences
 
 
 def test_ways_gone_are_dark_and_ways_to_go_are_bright_round_the_corner() -> None:
-    gone, to_go, corner, straight_on = changes(picture(), (-6, 0.3, 0), (5, 0.3, 0), (6, 0.3, 6), (14, 0.3, 0))
-    assert gone < -60 and to_go > 60 and corner > 30 and straight_on == 0
+    past, to_go, corner, straight_on = changes(picture(), (-6, 0.3, 0), (5, 0.3, 0), (6, 0.3, 6), (14, 0.3, 0))
+    assert past < -60 and to_go > 60 and corner > 30 and straight_on == 0
 
 
 def test_what_is_behind_a_wall_is_not_drawn() -> None:
     vertices, faces = sphere(2)
     wall = Solid("wall", vertices * [4, 2, 4] + [6, 20, 4], faces, "stone")
-    hidden, seen = changes(picture(wall), (6, 0.3, 4), (-6, 0.3, 0))
-    assert hidden == 0 and seen < -60
+    hidden, visible = changes(picture(wall), (6, 0.3, 4), (-6, 0.3, 0))
+    assert hidden == 0 and visible < -60
 
 
 @pytest.mark.parametrize(("text", "window"), [("1..2", (1, 2)), (" 0 .. 2.5 ", (0, 2.5)), ("60..60", (60, 60))])
 def test_windows_are_read(text: str, window: tuple[float, float]) -> None:
-    found = Window.of(text)
-    assert found is not None and (found.before, found.after) == window
+    result = Window.of(text)
+    assert result is not None and (result.seconds_before, result.seconds_after) == window
 
 
 @pytest.mark.parametrize("text", ["", "2", "-1..2", "1..61", "nan..2", "1..", "1..2..3", "1e9..2"])
 def test_windows_that_are_none_are_refused(text: str, cache: Path) -> None:
     assert Window.of(text) is None
-    done = RUN.invoke(app, ["render", str(cache), "--show", "paths", "--window", text])
-    assert done.exit_code == 2 and "1..2" in done.output
+    result = RUN.invoke(app, ["render", str(cache), "--show", "paths", "--window", text])
+    assert result.exit_code == 2 and "1..2" in result.output
 
 
 def test_the_command_draws_them(cache: Path, tmp_path: Path) -> None:
@@ -166,8 +166,8 @@ def test_the_command_draws_them(cache: Path, tmp_path: Path) -> None:
     images = []
     for words in (["--show", "none"], ["--show", "paths"], ["--show", "paths", "--window", "0..0.1"]):
         out = tmp_path / str(len(images))
-        done = RUN.invoke(app, ["render", str(cache), *words, *size, "--out", str(out)])
-        assert done.exit_code == 0, done.output
+        result = RUN.invoke(app, ["render", str(cache), *words, *size, "--out", str(out)])
+        assert result.exit_code == 0, result.output
         images.append(np.asarray(Image.open(out / "picture.0015.png")).astype(int))
     none, all_of_them, short = ((np.abs(i - images[0]) > 20).any(axis=2).sum() for i in images)
     assert none == 0 < short < all_of_them and math.isfinite(all_of_them)

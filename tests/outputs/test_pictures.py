@@ -46,16 +46,16 @@ def floor(reach=40.0, lines=9):
     return Solid("floor", *sheet(line, line))
 
 
-def crowd(points, colour, **more):
+def crowd(points, colour, **fields):
     n = len(points)
     orient = orientation(np.tile([1.0, 0, 0], (n, 1)), np.tile([0.0, 1, 0], (n, 1)))
-    more = {"scale": np.full(n, 4.0), "ids": np.arange(n), **more}
-    return Crowd("forager", np.asarray(points, float), orient, colour=np.tile(colour, (n, 1)), **more)
+    fields = {"scale": np.full(n, 4.0), "ids": np.arange(n), **fields}
+    return Crowd("forager", np.asarray(points, float), orient, colour=np.tile(colour, (n, 1)), **fields)
 
 
 def at(image, picture, camera, point):
-    places, _ = view(camera, image.shape[1], image.shape[0], picture.up).project(np.array([point], float))
-    column, row = places[0].astype(int)
+    positions, _ = view(camera, image.shape[1], image.shape[0], picture.up).project(np.array([point], float))
+    column, row = positions[0].astype(int)
     return image[row, column].astype(int)
 
 
@@ -66,10 +66,10 @@ def test_rays_and_projection_agree():
         Camera((10.0, 20.0, 30.0), (1.0, 2.0, -3.0), wide=9.0),
     ):
         ready = view(camera, W, H, (0.0, 1.0, 0.0))
-        start, way = ready.rays(np.array([40 * W + 3, 40 * W + 90]), 0.25, 0.5)
-        places, ahead = ready.project(start + 7.0 * way.astype(float))
-        assert np.allclose(places, [[3.25, 40.5], [90.25, 40.5]], atol=1e-3) and (ahead > 0).all()
-        assert np.allclose(ready.distance(start + 7.0 * way.astype(float)), 7.0, atol=1e-5)
+        start, directions = ready.rays(np.array([40 * W + 3, 40 * W + 90]), 0.25, 0.5)
+        positions, ahead = ready.project(start + 7.0 * directions.astype(float))
+        assert np.allclose(positions, [[3.25, 40.5], [90.25, 40.5]], atol=1e-3) and (ahead > 0).all()
+        assert np.allclose(ready.distance(start + 7.0 * directions.astype(float)), 7.0, atol=1e-5)
     ready = view(Camera((10.0, 20.0, 30.0), (1.0, 2.0, -3.0), fov=50.0), W, H, (0.0, 1.0, 0.0))
     assert ready.half[0] == pytest.approx(np.tan(np.radians(25)))
 
@@ -121,10 +121,10 @@ def test_even_scent_on_uneven_cells_shows_no_pattern():
     flat = grid + draw.uniform(-1.4, 1.4, grid.shape)
     slope = np.array([[1.0, 0.7, 0.2], [0.0, 0.3, 1.0]])  # ground that lies across the lattice
     trail = Trail("trail", flat @ slope, np.ones(len(flat)), 3.0)
-    places = (draw.uniform(-24, 24, (4000, 2)) @ slope).astype(np.float32)
-    cloth = TrailCloth(places.min(axis=0).astype(float), places.max(axis=0).astype(float), 3.0)
+    points = (draw.uniform(-24, 24, (4000, 2)) @ slope).astype(np.float32)
+    cloth = TrailCloth(points.min(axis=0).astype(float), points.max(axis=0).astype(float), 3.0)
     cloth.soak(trail)
-    assert np.allclose(cloth.share(places), 1.0, atol=1e-3)
+    assert np.allclose(cloth.share(points), 1.0, atol=1e-3)
 
 
 def test_a_thin_veil_of_scent_everywhere_does_not_hide_a_trail():
@@ -165,19 +165,19 @@ def test_food_shrinks_with_what_is_left():
     assert sizes[0] > sizes[1] > sizes[2] > 0 == sizes[3]
 
 
-def test_threads_and_kept_rays_change_no_byte(monkeypatch):
-    made = []
+def test_threads_and_stored_rays_change_no_byte(monkeypatch):
+    stage_calls = []
     real = render.stage
-    monkeypatch.setattr(render, "stage", lambda *args: made.append(1) or real(*args))
+    monkeypatch.setattr(render, "stage", lambda *args: stage_calls.append(1) or real(*args))
     scene = (floor(),)
     walk = [Picture(scene, (crowd([[x, 0, 0]], (0.9, 0.6, 0.1)),), frame=1) for x in (0.0, 5.0)]
     one, two = Renderer(W, H, threads=1), Renderer(W, H, threads=2)
     first = [one.draw(picture, ABOVE) for picture in walk]
-    assert len(made) == 1 and not np.array_equal(first[0], first[1])
+    assert len(stage_calls) == 1 and not np.array_equal(first[0], first[1])
     again = [two.draw(picture, ABOVE) for picture in reversed(walk)]
     assert np.array_equal(first[0], again[1]) and np.array_equal(first[1], again[0])
     one.draw(walk[0], Camera((0.0, 61.0, 0.01), (0.0, 0.0, 0.0)))
-    assert len(made) == 3
+    assert len(stage_calls) == 3
 
 
 def test_lines_and_ids_are_drawn_where_agents_are_and_others_are_refused():
@@ -188,8 +188,8 @@ def test_lines_and_ids_are_drawn_where_agents_are_and_others_are_refused():
     for word, point in (("velocity", (0, 1, -10)), ("feelers", (-12, 1, 0))):
         changed = np.abs(render_frame(picture, ABOVE, W, H, show=("trail", word)) - plain).max(axis=2) > 25
         row, column = np.nonzero(changed)
-        places, _ = view(ABOVE, W, H, picture.up).project(np.array([point], float))
-        assert 0 < changed.sum() < 300 and np.hypot(column - places[0, 0], row - places[0, 1]).min() < 3
+        positions, _ = view(ABOVE, W, H, picture.up).project(np.array([point], float))
+        assert 0 < changed.sum() < 300 and np.hypot(column - positions[0, 0], row - positions[0, 1]).min() < 3
     assert (np.abs(render_frame(picture, ABOVE, W, H, show=("trail", "ids")) - plain) > 40).sum() > 20
     with pytest.raises(ValueError, match="`trails`"):
         render_frame(picture, ABOVE, W, H, show=("trails",))
@@ -206,19 +206,19 @@ def test_what_is_behind_a_wall_gets_no_line():
 
 
 def test_the_strip_tells_states_by_species_and_scales_with_numbers():
-    told = Picture(
+    picture = Picture(
         (floor(),), legend=(LegendRow("search", (242, 163, 31), 412, "ant"), LegendRow("run", (40, 90, 230), 7, "roach"))
     )
     image = np.zeros((300, 400, 3), np.uint8)
     assert strip_width(Picture(), 500, ("trail",)) == 0
-    wide = strip_width(told, 500, ("trail",))
-    sheet = with_strip(image, told, wide, ("trail",))
-    strip = sheet[:, 400:].astype(int)
+    wide = strip_width(picture, 500, ("trail",))
+    sheet = with_strip(image, picture, wide, ("trail",))
+    strip_pixels = sheet[:, 400:].astype(int)
     assert sheet.shape == (300, 400 + wide, 3) and not sheet[:, :400].any()
-    dots = [np.abs(strip - colour).sum(axis=2) < 12 for colour in ([242, 163, 31], [40, 90, 230])]
+    dots = [np.abs(strip_pixels - colour).sum(axis=2) < 12 for colour in ([242, 163, 31], [40, 90, 230])]
     assert all(dot.sum() > 20 for dot in dots) and np.nonzero(dots[0])[0].max() < np.nonzero(dots[1])[0].min()
     trail = Trail("smell", np.zeros((2, 3)), np.array([1.0, 5.0]), 2.0, colour=(0.1, 0.2, 0.9), full=5.0)
-    scaled = Picture((floor(),), trails=(trail,), legend=told.legend)
+    scaled = Picture((floor(),), trails=(trail,), legend=picture.legend)
     assert np.array_equal(with_strip(image, scaled, wide, ()), sheet)
     bar = with_strip(image, scaled, wide, ("trail",))[:, 400:].astype(int)
     assert ((bar[..., 2] - bar[..., 0]) > 60).any(axis=1).sum() > 3 + dots[1].any(axis=1).sum()
@@ -258,8 +258,8 @@ def test_what_moves_is_blurred_along_its_way_and_what_stands_is_sharp():
         Renderer(W, H, blur=blur).draw(picture, ABOVE).astype(int) for blur, picture in ((0.0, still), (0.0, moved), (1.0, moved))
     )
     assert np.array_equal(sharp, shut)
-    places, _ = view(ABOVE, W, H, (0.0, 1.0, 0.0)).project(np.array([[-8.0, 0, 0], [-2.0, 0, 0], [8.0, 0, 8.0]]))
-    x, y = places.round().astype(int).T
+    positions, _ = view(ABOVE, W, H, (0.0, 1.0, 0.0)).project(np.array([[-8.0, 0, 0], [-2.0, 0, 0], [8.0, 0, 8.0]]))
+    x, y = positions.round().astype(int).T
     changed = np.abs(open_ - sharp).max(axis=2)
     assert changed[y[0] - 3 : y[0] + 4, x[0] : x[1] + 4].max() > 40
     assert changed[y[2] - 4 : y[2] + 5, x[2] - 8 : x[2] + 9].max() < 30
@@ -275,7 +275,7 @@ def test_marks_are_discs_of_one_size_in_the_colours_of_states():
         assert blue.sum() == pytest.approx(2 * np.pi * (reach / 2) ** 2, rel=0.35)
 
 
-def test_magnified_agents_have_the_length_that_is_asked():
+def test_magnified_agents_have_the_requested_length():
     far = Camera((0.0, 300.0, 0.1), (0.0, 0.0, 0.0), focal=30.0)
     picture = Picture((floor(400),), (crowd([[0, 0, 0]], (0.1, 0.2, 0.9)),), grain=4.0)
     bare = render_frame(Picture((floor(400),), grain=4.0), far, W, H)
@@ -288,16 +288,16 @@ def test_a_view_from_straight_above_has_one_scale():
     ants = crowd([[-12.0, 0, -9.0], [12.0, 9.0, 9.0]], (0.9, 0.1, 0.1))
     picture = Picture((floor(),), (ants,), grain=4.0)
     camera = camera_on_top(picture, aspect=W / H)
-    seen = view(camera, W, H, picture.up)
-    places, ahead = seen.project(np.array([[0.0, 0, 0], [10, 0, 0], [10, 9, 0], [0, 0, 10]]))
+    camera_view = view(camera, W, H, picture.up)
+    positions, ahead = camera_view.project(np.array([[0.0, 0, 0], [10, 0, 0], [10, 9, 0], [0, 0, 10]]))
     assert (
         (ahead > 0).all()
-        and places[1] == pytest.approx(places[2])
-        and places[1, 0] > places[0, 0]
-        and places[3, 1] > places[0, 1]
+        and positions[1] == pytest.approx(positions[2])
+        and positions[1, 0] > positions[0, 0]
+        and positions[3, 1] > positions[0, 1]
     )
-    assert np.linalg.norm(places[1] - places[0]) == pytest.approx(np.linalg.norm(places[3] - places[0]))
-    held, _ = seen.project(floor().vertices)
+    assert np.linalg.norm(positions[1] - positions[0]) == pytest.approx(np.linalg.norm(positions[3] - positions[0]))
+    held, _ = camera_view.project(floor().vertices)
     assert (held >= 0).all() and (held <= [W, H]).all()
     image = render_frame(picture, camera, W, H).astype(int)
     assert image.std() > 5
@@ -307,26 +307,26 @@ def test_a_view_from_straight_above_has_one_scale():
 def test_things_look_as_what_the_scene_says_they_are_made_of(look, seen):
     vertices, faces = sphere(3)
     kind = {"soil": "hill"}.get(look, look)
-    made = (
+    pictures = (
         Picture((floor(), Solid("thing", vertices * 8 + [0, 4, 0], faces, kind)), grain=4.0),
         Picture((floor(),), items=(Item("thing", (0.0, 0.0, 0.0), 8.0, look=look),), grain=4.0),
     )
-    for picture in made:
+    for picture in pictures:
         r, g, b = render_frame(picture, ABOVE, W, H)[H // 2 - 4 : H // 2 + 4, W // 2 - 6 : W // 2 + 6].reshape(-1, 3).mean(axis=0)
-        told = {
+        colour_checks = {
             "grey": abs(r - b) < 40,
             "green": g > 1.1 * r and g > 1.3 * b,
             "brown": r > 1.15 * g > 1.2 * b,
             "bright": min(r, g, b) > 215,
         }
-        assert told[seen], (look, r, g, b)
+        assert colour_checks[seen], (look, r, g, b)
 
 
 def test_ground_has_grain_from_afar_and_from_near():
     picture = Picture((floor(),), grain=4.0)
     for height in (60.0, 6.0, 0.8):
-        seen = Camera((0.0, height, 0.01), (0.0, 0.0, 0.0), focal=35.0)
-        image = render_frame(picture, seen, W, H).astype(float).sum(axis=2)
+        camera = Camera((0.0, height, 0.01), (0.0, 0.0, 0.0), focal=35.0)
+        image = render_frame(picture, camera, W, H).astype(float).sum(axis=2)
         fine = image - (np.roll(image, 1, 0) + np.roll(image, -1, 0) + np.roll(image, 1, 1) + np.roll(image, -1, 1)) / 4
         assert fine[4:-4, 4:-4].std() > 3.0, height  # of 765: no smear
 
@@ -336,17 +336,17 @@ def test_cameras_of_their_own_see_the_scene_and_an_ant_that_is_not_hidden():
     rock = Solid("rock", vertices * 5 + [-12, 3, 0], faces, "stone")
     picture = Picture((floor(), rock), (crowd([[x, 0, z] for x in (0, 6, 12) for z in (0, 6)], (0.9, 0.6, 0.1)),))
     over = view(camera_over(picture), W, H, picture.up)
-    places, ahead = over.project(picture.solids[0].vertices)
-    assert (ahead > 0).all() and (places >= 0).all() and (places <= [W, H]).all()
+    positions, ahead = over.project(picture.solids[0].vertices)
+    assert (ahead > 0).all() and (positions >= 0).all() and (positions <= [W, H]).all()
     camera = camera_at_eye_level(picture, 3)
     image = render_frame(picture, camera, W, H).astype(int)
     assert ((image[..., 0] > 1.5 * image[..., 2]) & (image[..., 0] > 120)).sum() > 100
     assert np.linalg.norm(np.array(camera.at) - picture.crowds[0].position[3]) < 5 * 4.0
     assert camera_at_eye_level(picture, 99) is None
-    (whole,) = picture.crowds
-    parts = replace(picture, crowds=tuple(whole.rows(np.isin(whole.ids, ids)) for ids in ((0, 1), (2, 3, 4, 5))))
-    apart = camera_at_eye_level(parts, 3)
-    assert apart is not None and apart.at == camera.at, "whatever others of the species wear"
+    (full_crowd,) = picture.crowds
+    parts = replace(picture, crowds=tuple(full_crowd.rows(np.isin(full_crowd.ids, ids)) for ids in ((0, 1), (2, 3, 4, 5))))
+    split_camera = camera_at_eye_level(parts, 3)
+    assert split_camera is not None and split_camera.at == camera.at, "whatever others of the species wear"
     first = replace(crowd([[30, 0, 30]], (0.9, 0.6, 0.1), ids=np.array([7])), species="first")
     both = replace(picture, crowds=(first, *picture.crowds))
     assert camera_at_eye_level(both, 3) is not None and camera_at_eye_level(both, 3, species="first") is None
@@ -375,9 +375,9 @@ def test_nothing_at_all_and_broken_agents_draw_without_a_fuss():
 
 def test_a_contact_sheet_holds_every_picture():
     tiles = [np.full((90, 160, 3), shade, np.uint8) for shade in (60, 120, 180, 240, 90)]
-    made = contact_sheet(tiles, [f"frame {k}" for k in range(5)], columns=3, width=600)
-    assert made.shape[1] == 600
-    assert all((np.abs(made.astype(int) - int(tile[0, 0, 0])).max(axis=2) == 0).sum() > 15_000 for tile in tiles)
+    sheet_image = contact_sheet(tiles, [f"frame {k}" for k in range(5)], columns=3, width=600)
+    assert sheet_image.shape[1] == 600
+    assert all((np.abs(sheet_image.astype(int) - int(tile[0, 0, 0])).max(axis=2) == 0).sum() > 15_000 for tile in tiles)
     with pytest.raises(ValueError, match="label"):
         contact_sheet(tiles, ["one"])
 

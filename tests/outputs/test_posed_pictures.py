@@ -88,11 +88,11 @@ def test_bodies_are_where_agents_are_and_look_where_they_head(cache: Cache) -> N
     crowd = crowd_at(cache, FRAMES)
     above = view(Camera((0.0, 30.0, 30.0), (0.0, 0.0, 0.0)), 2560, 1440, (0.0, 1.0, 0.0))
     picture = replace(Gallery(cache).picture(FRAMES), items=())
-    found = actors(picture, above)
+    drawn_actors = actors(picture, above)
     count = len(crowd.worn.tint) if crowd.worn else 0
-    assert len(found.mesh.vertices) == count * len(crowd.position) and len(found.rays) == 1
+    assert len(drawn_actors.mesh.vertices) == count * len(crowd.position) and len(drawn_actors.rays) == 1
     turn = rotation(crowd.orient)
-    own = np.einsum("nji,nvj->nvi", turn, found.mesh.vertices.reshape(-1, count, 3) - crowd.position[:, None])
+    own = np.einsum("nji,nvj->nvi", turn, drawn_actors.mesh.vertices.reshape(-1, count, 3) - crowd.position[:, None])
     own /= crowd.scale[:, None, None]  # x ahead, y up, in body lengths, which are heights here
     assert own[:, :, 1].max(axis=1).min() > 0.9 and own[:, :, 1].max() < 1.15  # a hand that waves is higher
     assert own[:, :, 1].min() > -0.03 and own[:, :, 1].min(axis=1).max() < 0.04  # a runner is off the ground at times
@@ -100,20 +100,20 @@ def test_bodies_are_where_agents_are_and_look_where_they_head(cache: Cache) -> N
     assert np.median(np.abs(top[:, 2])) < 0.05 and np.abs(own[:, :, 2]).max() < 0.3
     feet = np.where(own[:, :, 1] < 0.08, own[:, :, 0], 0)
     assert (feet.max(axis=1) > 0.05).mean() > 0.9  # toes point ahead; of one who runs the only foot on the ground may be behind
-    normals = found.mesh.normal.reshape(-1, 3)
+    normals = drawn_actors.mesh.normal.reshape(-1, 3)
     assert np.linalg.norm(normals, axis=1) == pytest.approx(1, abs=1e-3)
 
 
 def test_the_frame_after_is_that_of_the_same_agents(cache: Cache) -> None:
     now, then = Gallery(cache, blurred=True).picture(FRAMES - 1).crowds[0], Gallery(cache).picture(FRAMES).crowds[0]
-    assert now.after is not None and np.array_equal(now.ids, then.ids)
-    assert np.array_equal(now.after.position, then.position) and np.array_equal(now.after.orient, then.orient)
-    assert np.array_equal(vertices(replace(now.after, worn=then.worn)), vertices(then)) and not np.array_equal(
+    assert now.next_crowd is not None and np.array_equal(now.ids, then.ids)
+    assert np.array_equal(now.next_crowd.position, then.position) and np.array_equal(now.next_crowd.orient, then.orient)
+    assert np.array_equal(vertices(replace(now.next_crowd, worn=then.worn)), vertices(then)) and not np.array_equal(
         vertices(now), vertices(then)
     )
-    assert Gallery(cache, blurred=True).picture(FRAMES).crowds[0].after is None  # the last has none
+    assert Gallery(cache, blurred=True).picture(FRAMES).crowds[0].next_crowd is None  # the last has none
     few = Gallery(cache, blurred=True).picture(FRAMES - 1, agents=frozenset([3])).crowds[0]
-    assert few.after is not None and np.array_equal(few.after.position, then.position[np.asarray(then.ids) == 3])
+    assert few.next_crowd is not None and np.array_equal(few.next_crowd.position, then.position[np.asarray(then.ids) == 3])
 
 
 def test_clips_move_bodies_and_only_their_group(cache: Cache) -> None:
@@ -146,8 +146,8 @@ def test_small_bodies_have_fewer_triangles_and_the_same_pose(cache: Cache) -> No
         for end in (np.min, np.max):
             assert np.abs(end(fine[:, :, k], axis=1) - end(rough[:, :, k], axis=1)).max() < 0.05
     far = view(Camera((0.0, 90.0, 90.0), (0.0, 0.0, 0.0)), 320, 180, (0.0, 1.0, 0.0))
-    found = actors(replace(Gallery(cache).picture(FRAMES), items=()), far)
-    assert len(found.mesh.faces) == len(crowd.worn.coarse.faces) * len(crowd.position)
+    drawn_actors = actors(replace(Gallery(cache).picture(FRAMES), items=()), far)
+    assert len(drawn_actors.mesh.faces) == len(crowd.worn.coarse.faces) * len(crowd.position)
 
 
 def test_a_planted_foot_stays_as_the_body_goes_over_it() -> None:
@@ -187,7 +187,7 @@ def test_a_body_that_was_changed_is_not_drawn(cache: Cache, tmp_path: Path) -> N
         crowd_at(open_cache(tmp_path / "out"), 1)
 
 
-def test_a_cache_from_before_bodies_were_kept_is_drawn_as_it_was(cache: Cache, tmp_path: Path) -> None:
+def test_a_cache_without_stored_bodies_is_drawn_with_the_default_body(cache: Cache, tmp_path: Path) -> None:
     shutil.copytree(cache.folder, tmp_path / "out")
     path = tmp_path / "out" / "manifest.json"
     manifest = json.loads(path.read_text(encoding="utf-8"))
@@ -203,13 +203,13 @@ def test_bodies_that_differ_by_id_are_followed_into_the_frame_after() -> None:
     ids = np.array([4, 9, 2])
     upright = np.tile([0.0, 0.0, 0.0, 1.0], (3, 1))
     now, later = (
-        Crowd("ant", at, upright, np.ones(3), np.ones((3, 3)), found, driven=Driven(draws=Draws(found, 5, "ant")))
-        for at, found in ((np.zeros((3, 3)), ids), (np.arange(9.0).reshape(3, 3), ids[::-1]))
+        Crowd("ant", at, upright, np.ones(3), np.ones((3, 3)), agent_ids, driven=Driven(draws=Draws(agent_ids, 5, "ant")))
+        for at, agent_ids in ((np.zeros((3, 3)), ids), (np.arange(9.0).reshape(3, 3), ids[::-1]))
     )
-    after = followed(now, later)
-    draws = after.driven.draws
+    next_crowd = followed(now, later)
+    draws = next_crowd.driven.draws
     assert draws is not None and (draws.seed, draws.species) == (5, "ant") and np.array_equal(draws.ids, ids)
-    assert np.array_equal(after.position, later.position[::-1])
+    assert np.array_equal(next_crowd.position, later.position[::-1])
 
 
 @pytest.mark.parametrize("deformer", ["linearskinning", "dualquatskinning"])

@@ -19,33 +19,33 @@ from antdsl.scene.values import FrameRange
 MINIMAL = Path(__file__).resolve().parents[2] / "examples" / "minimal"
 
 
-def made(folder: Path, *words: str, out: str = "out/scene") -> Path:
+def create_cache(folder: Path, *words: str, out: str = "out/scene") -> Path:
     """The cache of a run of the smallest scene in a folder."""
     folder.mkdir(parents=True)
     for name in ("walker.ant", "ground.ply", "scene.yaml"):
         shutil.copy(MINIMAL / name, folder)
-    done = run("run", "scene.yaml", "-q", "--frames", "1..2", *words, cwd=folder)
-    assert done.returncode == 0, done.stderr
+    process = run("run", "scene.yaml", "-q", "--frames", "1..2", *words, cwd=folder)
+    assert process.returncode == 0, process.stderr
     return folder / out
 
 
 def test_a_manifest_says_what_made_it_and_names_no_folder(tmp_path: Path) -> None:
-    cache = made(tmp_path / "private" / "name", "--seed", "7", "--threads", "1")
-    found = read_manifest(cache).made_with
-    assert found is not None
-    assert (found.python, found.numpy) == (platform.python_version(), np.__version__)
-    assert found.platform == f"{platform.system()} {platform.machine()}" and found.sources == provenance.sources()
-    assert found.command == "antdsl run scene.yaml --frames 1..2 --seed 7"
+    cache = create_cache(tmp_path / "private" / "name", "--seed", "7", "--threads", "1")
+    creation_info = read_manifest(cache).made_with
+    assert creation_info is not None
+    assert (creation_info.python, creation_info.numpy) == (platform.python_version(), np.__version__)
+    assert creation_info.platform == f"{platform.system()} {platform.machine()}" and creation_info.sources == provenance.sources()
+    assert creation_info.command == "antdsl run scene.yaml --frames 1..2 --seed 7"
     text = (cache / MANIFEST).read_text()
     assert "private" not in text and str(tmp_path) not in text
-    shown = run("info", str(cache), cwd=tmp_path).stdout
-    assert "made with\n" in shown
-    for value in found.model_dump().values():
-        assert value in shown
-    other = made(tmp_path / "elsewhere", "--seed", "7", "--backend", "reference", "--out", "away", out="away")
-    there = json.loads((other / MANIFEST).read_text())
-    here = json.loads(text)
-    assert {**there, "scene_path": ""} == {**here, "scene_path": ""}
+    output = run("info", str(cache), cwd=tmp_path).stdout
+    assert "made with\n" in output
+    for value in creation_info.model_dump().values():
+        assert value in output
+    other = create_cache(tmp_path / "elsewhere", "--seed", "7", "--backend", "reference", "--out", "away", out="away")
+    other_manifest = json.loads((other / MANIFEST).read_text())
+    manifest = json.loads(text)
+    assert {**other_manifest, "scene_path": ""} == {**manifest, "scene_path": ""}
     frame = Path("frames", "frame.0001.npz")
     assert (other / frame).read_bytes() == (cache / frame).read_bytes()
 
@@ -105,37 +105,37 @@ def test_what_a_stranger_wrote_there_is_bounded_and_shown_without_escapes(
     change,  # type: ignore[no-untyped-def]
     readable: bool,
 ) -> None:
-    cache = made(tmp_path / "shot")
+    cache = create_cache(tmp_path / "shot")
     document = json.loads((cache / MANIFEST).read_text())
     document["made_with"] = change(document["made_with"])
     (cache / MANIFEST).write_text(json.dumps(document))
-    done = run("info", str(cache), cwd=tmp_path)
-    assert (done.returncode == 0) == readable
-    assert "\x1b" not in done.stdout + done.stderr and "\u202e" not in done.stdout + done.stderr
+    process = run("info", str(cache), cwd=tmp_path)
+    assert (process.returncode == 0) == readable
+    assert "\x1b" not in process.stdout + process.stderr and "\u202e" not in process.stdout + process.stderr
     if not readable:
         with pytest.raises(ManifestError, match="damaged"):
             read_manifest(cache)
 
 
 def test_the_command_that_continues_a_cache_is_that_of_its_manifest(tmp_path: Path) -> None:
-    cache = made(tmp_path / "it's", "--seed", "7", out="out/scene")
+    cache = create_cache(tmp_path / "it's", "--seed", "7", out="out/scene")
     (cache / "frames" / "frame.0002.npz").unlink()
     words = shlex.split(provenance.resume_command(cache))
     assert words[1:] == [
         "run", str(cache.parents[1] / "scene.yaml"), "--frames", "1..2", "--seed", "7", "--out", str(cache), "--resume",
     ]  # fmt: skip
-    done = run("info", str(cache), cwd=tmp_path)
-    assert f"no; go on with: {shlex.join(words)}" in done.stdout
+    process = run("info", str(cache), cwd=tmp_path)
+    assert f"no; go on with: {shlex.join(words)}" in process.stdout
     assert run(*words[1:], "-q", cwd=tmp_path).returncode == 0
     assert "complete     yes" in run("info", str(cache), cwd=tmp_path).stdout
-    done = run(*words[1:5], "--seed", "8", *words[7:], cwd=tmp_path)
-    assert done.returncode == 1 and "error: the cache was made with seed 7, not 8" in done.stderr
-    done = run(*words[1:3], "--frames", "2..3", *words[5:], cwd=tmp_path)
-    assert done.returncode == 1 and "error: the cache was made from frame 1, not 2" in done.stderr
+    process = run(*words[1:5], "--seed", "8", *words[7:], cwd=tmp_path)
+    assert process.returncode == 1 and "error: the cache was made with seed 7, not 8" in process.stderr
+    process = run(*words[1:3], "--frames", "2..3", *words[5:], cwd=tmp_path)
+    assert process.returncode == 1 and "error: the cache was made from frame 1, not 2" in process.stderr
 
 
 def test_a_strangers_manifest_puts_no_command_into_the_advice(tmp_path: Path) -> None:
-    cache = made(tmp_path / "p")
+    cache = create_cache(tmp_path / "p")
     path = cache / MANIFEST
     document = json.loads(path.read_text())
     document["scene_path"] = None

@@ -65,7 +65,11 @@ def test_a_mesh_that_is_not_to_be_seen_is_walked_on_all_the_same(tmp_path: Path)
     assert [solid.name for solid in picture.solids] == ["can"] and len(picture.crowds[0].position) == 3
 
 
-def test_a_look_that_is_none_is_told_with_those_there_are(tmp_path: Path) -> None:
+def test_an_unknown_look_is_reported_with_the_known_ones(tmp_path: Path) -> None:
     shot, report = open_scene(project(tmp_path, SCENE.replace("look: metal", "look: mettal")))
-    told = report.sorted()[0]
-    assert shot is None and "`metal`, `soil`, `leaf`, `light`, `none`" in told.message and told.help == "did you mean `metal`?"
+    diagnostic = report.sorted()[0]
+    assert (
+        shot is None
+        and "`metal`, `soil`, `leaf`, `light`, `none`" in diagnostic.message
+        and diagnostic.help == "did you mean `metal`?"
+    )

@@ -119,9 +119,9 @@ def test_who_wears_the_same_is_a_crowd_and_is_drawn_with_it(cache: Cache) -> Non
 
 
 def test_a_state_shows_a_layer_and_a_channel_as_long_as_it_lasts(cache: Cache) -> None:
-    before, after = cache.frame(3), cache.frame(9)
-    assert not (before["wears.bug"] & 1).any() and (after["wears.bug"] & 1).all()
-    assert np.isnan(before["channels.bug.mouth_open"]).all() and (after["channels.bug.mouth_open"] == 0.5).all()
+    early_frame, late_frame = cache.frame(3), cache.frame(9)
+    assert not (early_frame["wears.bug"] & 1).any() and (late_frame["wears.bug"] & 1).all()
+    assert np.isnan(early_frame["channels.bug.mouth_open"]).all() and (late_frame["channels.bug.mouth_open"] == 0.5).all()
     crowd = Gallery(cache).picture(9).crowds[0]
     assert crowd.worn is not None and crowd.worn.layers == ("crumb",)
     still = Driven(looks=crowd.driven.looks)
@@ -170,12 +170,12 @@ def test_a_run_goes_on_from_a_checkpoint_with_what_is_shown(cache: Cache) -> Non
         ("hat", PROGRAM.replace("look head", "look heed"), "`bug.json` has no transform group `heed`", "did you mean `head`?"),
     ],
 )  # fmt: skip
-def test_what_the_body_does_not_have_is_told(wear: str, program: str, message: str, help: str, tmp_path: Path) -> None:
+def test_missing_parts_of_a_body_are_reported(wear: str, program: str, message: str, help: str, tmp_path: Path) -> None:
     shot, report = open_scene(folder_with(tmp_path, wear, program))
     assert shot is None and report.errors[0].message == message and help in (report.errors[0].help or "")
 
 
-def test_a_body_of_the_library_is_asked_as_well(tmp_path: Path) -> None:
+def test_a_body_of_the_library_is_checked_as_well(tmp_path: Path) -> None:
     scene = folder_with(tmp_path, "hat")
     scene.write_text(scene.read_text().replace("body: bug.json, ", ""))
     _, report = open_scene(scene)

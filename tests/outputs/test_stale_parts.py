@@ -38,7 +38,7 @@ def test_only_files_of_ended_processes_of_this_machine_are_removed(tmp_path: Pat
     (tmp_path / f".link.{machine}-{process}-{chance}.part").symlink_to(tmp_path / others[0])
     (tmp_path / f".folder.{machine}-{process}-{chance}.part").mkdir()
     os.utime(left, (2**33, 2**33))  # the clock was set back since
-    with whole.whole(tmp_path / "points.csv") as part:
+    with whole.atomic_path(tmp_path / "points.csv") as part:
         part.write_text("x")
     assert not left.exists() and (tmp_path / "points.csv").read_text() == "x"
     assert all((tmp_path / other).exists() for other in others)

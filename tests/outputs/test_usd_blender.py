@@ -46,19 +46,19 @@ def test_blender_draws_ants_in_their_colours_and_items_in_their_places(python: s
     cache = recorded(tmp_path, 8)
     exported(cache, tmp_path / "ants.usdc", shutter=(-0.25, 0.25))
     words = [python, str(BLENDER), str(tmp_path / "ants.usdc"), str(tmp_path / "still.png"), "5"]
-    done = subprocess.run(words, capture_output=True, text=True, timeout=900, env=_alone())
-    assert done.returncode == 0, done.stderr[-2000:]
-    told = json.loads(next(line for line in done.stdout.splitlines() if line.startswith("{")))
+    process = subprocess.run(words, capture_output=True, text=True, timeout=900, env=_alone())
+    assert process.returncode == 0, process.stderr[-2000:]
+    report = json.loads(next(line for line in process.stdout.splitlines() if line.startswith("{")))
     arrays = cache.frame(5)
     # Blender is z up and in metres
-    places = arrays["P"].astype(np.float64)[:, [0, 2, 1]] * (1, -1, 1) / 1000
-    assert len(told["instances"]) == len(places)
-    found = np.array(sorted(told["instances"]))
-    assert np.abs(found - np.array(sorted(places.tolist()))).max() < 1e-4
+    positions = arrays["P"].astype(np.float64)[:, [0, 2, 1]] * (1, -1, 1) / 1000
+    assert len(report["instances"]) == len(positions)
+    instances = np.array(sorted(report["instances"]))
+    assert np.abs(instances - np.array(sorted(positions.tolist()))).max() < 1e-4
     for group in cache.manifest.items:
         for name, place in zip(group.names, group.position, strict=True):
-            assert math.dist(told["items"][name], (place[0] / 1000, -place[2] / 1000, place[1] / 1000)) < 1e-5
+            assert math.dist(report["items"][name], (place[0] / 1000, -place[2] / 1000, place[1] / 1000)) < 1e-5
     states = cache.manifest.species[0].machines[0].states
-    wanted = sorted(decoded(np.array(states[k].colour)).tolist() for k in np.unique(arrays["state"]).tolist())
-    assert np.allclose(sorted(told["colours"]), wanted, atol=2e-3)
-    assert told["tinted"] > 20, "pixels as saturated as the states"
+    expected = sorted(decoded(np.array(states[k].colour)).tolist() for k in np.unique(arrays["state"]).tolist())
+    assert np.allclose(sorted(report["colours"]), expected, atol=2e-3)
+    assert report["tinted"] > 20, "pixels as saturated as the states"

@@ -119,12 +119,12 @@ def skinned(stage, path: str, time: float) -> np.ndarray:  # type: ignore[no-unt
     """The points of an agent in the world, by USD's own skinning."""
     from pxr import Usd, UsdGeom, UsdSkel
 
-    root, cache, found = UsdSkel.Root(stage.GetPrimAtPath(path)), UsdSkel.Cache(), []
+    root, cache, parts = UsdSkel.Root(stage.GetPrimAtPath(path)), UsdSkel.Cache(), []
     cache.Populate(root, Usd.TraverseInstanceProxies())
-    places = UsdGeom.XformCache(time)
+    transforms = UsdGeom.XformCache(time)
     for binding in cache.ComputeSkelBindings(root, Usd.TraverseInstanceProxies()):
         joints = cache.GetSkelQuery(binding.GetSkeleton()).ComputeSkinningTransforms(time)
-        world = np.array(places.GetLocalToWorldTransform(binding.GetSkeleton().GetPrim()))
+        world = np.array(transforms.GetLocalToWorldTransform(binding.GetSkeleton().GetPrim()))
         for target in binding.GetSkinningTargets():
             points = UsdGeom.Mesh(target.GetPrim()).GetPointsAttr().Get()
             if target.IsRigidlyDeformed():
@@ -132,8 +132,8 @@ def skinned(stage, path: str, time: float) -> np.ndarray:  # type: ignore[no-unt
                 points = np.array(points) @ matrix[:3, :3] + matrix[3, :3]
             else:
                 assert target.ComputeSkinnedPoints(joints, points, time)
-            found.append(np.array(points) @ world[:3, :3] + world[3, :3])
-    return np.concatenate(found)
+            parts.append(np.array(points) @ world[:3, :3] + world[3, :3])
+    return np.concatenate(parts)
 
 
 def test_an_agent_with_a_skeleton_is_an_instance_posed_as_in_pictures(people: Cache, tmp_path: Path) -> None:
@@ -183,27 +183,27 @@ def test_velocities_lead_to_the_next_frame(people: Cache, tmp_path: Path) -> Non
     from pxr import Gf, UsdGeom
 
     stage = exported(people, tmp_path / "out.usdc", skeletons=0)
-    made = UsdGeom.PointInstancer(stage.GetPrimAtPath("/World/walker"))
-    times = made.GetPositionsAttr().GetTimeSamples()
+    instancer = UsdGeom.PointInstancer(stage.GetPrimAtPath("/World/walker"))
+    times = instancer.GetPositionsAttr().GetTimeSamples()
     for name in ("orientations", "orientationsf", "velocities", "angularVelocities"):
-        assert made.GetPrim().GetAttribute(name).GetTimeSamples() == times == list(range(1, FRAMES + 1))
-    before = None
+        assert instancer.GetPrim().GetAttribute(name).GetTimeSamples() == times == list(range(1, FRAMES + 1))
+    previous_orient = None
     for frame in range(1, FRAMES):
-        here, after = people.frame(frame), people.frame(frame + 1)
+        arrays, next_arrays = people.frame(frame), people.frame(frame + 1)
         fps = stage.GetTimeCodesPerSecond()
-        moved = (after["P"].astype(np.float64) - here["P"]) * fps
-        assert np.allclose(made.GetVelocitiesAttr().Get(frame), moved, atol=1e-5)
-        turn = np.degrees(rotation_vector(unit(here["orient"]), unit(after["orient"]))) * fps
-        assert np.allclose(made.GetAngularVelocitiesAttr().Get(frame), turn, atol=1e-3) and np.abs(turn).max() > 1
-        full = np.array([[*q.GetImaginary(), q.GetReal()] for q in made.GetOrientationsfAttr().Get(frame)])
-        assert np.abs(np.abs((full * unit(here["orient"])).sum(axis=1)) - 1).max() < 1e-6
-        assert before is None or ((full * before).sum(axis=1) > 0).all(), "no sign flips"
-        before = full
+        moved = (next_arrays["P"].astype(np.float64) - arrays["P"]) * fps
+        assert np.allclose(instancer.GetVelocitiesAttr().Get(frame), moved, atol=1e-5)
+        turn = np.degrees(rotation_vector(unit(arrays["orient"]), unit(next_arrays["orient"]))) * fps
+        assert np.allclose(instancer.GetAngularVelocitiesAttr().Get(frame), turn, atol=1e-3) and np.abs(turn).max() > 1
+        full = np.array([[*q.GetImaginary(), q.GetReal()] for q in instancer.GetOrientationsfAttr().Get(frame)])
+        assert np.abs(np.abs((full * unit(arrays["orient"])).sum(axis=1)) - 1).max() < 1e-6
+        assert previous_orient is None or ((full * previous_orient).sum(axis=1) > 0).all(), "no sign flips"
+        previous_orient = full
         for share in (0.5, 1.0):
-            ways = made.ComputeInstanceTransformsAtTime(frame + share, frame, UsdGeom.PointInstancer.ExcludeProtoXform)
-            place = here["P"] + (after["P"].astype(np.float64) - here["P"]) * share
-            orient = turned_by(unit(here["orient"]), np.radians(turn) / fps * share)
-            for k, matrix in enumerate(ways):
+            transforms = instancer.ComputeInstanceTransformsAtTime(frame + share, frame, UsdGeom.PointInstancer.ExcludeProtoXform)
+            place = arrays["P"] + (next_arrays["P"].astype(np.float64) - arrays["P"]) * share
+            orient = turned_by(unit(arrays["orient"]), np.radians(turn) / fps * share)
+            for k, matrix in enumerate(transforms):
                 assert np.allclose(matrix.ExtractTranslation(), place[k], atol=1e-4)
                 axes = np.array([matrix.TransformDir(Gf.Vec3d(*axis)).GetNormalized() for axis in np.eye(3).tolist()])
                 assert np.abs(axes.T - rotation(orient[k : k + 1])[0]).max() < 2e-3, "orientations of half precision"
@@ -218,8 +218,8 @@ def test_turns_between_orientations_are_those_that_lead_there() -> None:
     rng = np.random.default_rng(3)
     a, b = (unit(rng.normal(size=(50, 4))) for _ in range(2))
     b[:5] = -a[:5]  # the same orientation
-    found = turned_by(a, rotation_vector(a, b))
-    assert np.abs(np.abs((found * b).sum(axis=1)) - 1).max() < 1e-12
+    orientations = turned_by(a, rotation_vector(a, b))
+    assert np.abs(np.abs((orientations * b).sum(axis=1)) - 1).max() < 1e-12
     assert np.abs(rotation_vector(a, b)[:5]).max() < 1e-7 and np.linalg.norm(rotation_vector(a, b), axis=1).max() <= np.pi + 1e-9
 
 
@@ -229,14 +229,14 @@ def test_prototypes_are_the_nearest_poses_in_the_colour_of_the_state(people: Cac
     from antdsl.outputs.pictures.light import decoded
 
     stage = exported(people, tmp_path / "out.usdc", skeletons=0)
-    made = UsdGeom.PointInstancer(stage.GetPrimAtPath("/World/walker"))
-    paths = made.GetPrototypesRel().GetTargets()
+    instancer = UsdGeom.PointInstancer(stage.GetPrimAtPath("/World/walker"))
+    paths = instancer.GetPrototypesRel().GetTargets()
     states = people.manifest.species[0].machines[0].states
     used = set()
     for frame in (2, FRAMES):
         crowd = Gallery(people).picture(frame).crowds[0]
         assert crowd.worn is not None
-        numbers, state = made.GetProtoIndicesAttr().Get(frame), people.frame(frame)["state"]
+        numbers, state = instancer.GetProtoIndicesAttr().Get(frame), people.frame(frame)["state"]
         points = crowd.worn.coarse.shaped(crowd.worn.coarse.poses(crowd.plays, PEOPLE))[0]
         for k in range(PEOPLE):
             mesh = UsdGeom.Mesh(stage.GetPrimAtPath(paths[numbers[k]]))
@@ -246,7 +246,7 @@ def test_prototypes_are_the_nearest_poses_in_the_colour_of_the_state(people: Cac
             assert np.allclose(colour[0], decoded(np.array(states[state[k]].colour)), atol=1e-6)
             assert mesh.GetNormalsAttr().HasValue() and mesh.GetNormalsInterpolation() == "vertex"
         assert np.array_equal(
-            UsdGeom.PrimvarsAPI(made).GetPrimvar("state").ComputeFlattened(frame), [states[s].name for s in state]
+            UsdGeom.PrimvarsAPI(instancer).GetPrimvar("state").ComputeFlattened(frame), [states[s].name for s in state]
         )
     subsets = UsdGeom.Subset.GetGeomSubsets(mesh, "face", "materialBind")
     assert len(used) > 3 and {subset.GetPrim().GetName() for subset in subsets} == {"state", "skin", "cloth", "leather"}
@@ -259,18 +259,18 @@ def test_a_shutter_has_samples_between_frames(people: Cache, tmp_path: Path) -> 
     from pxr import UsdGeom
 
     bank = exported(people, tmp_path / "bank.usdc", skeletons=0, shutter=(-0.25, 0.25), samples=3)
-    made = UsdGeom.PointInstancer(bank.GetPrimAtPath("/World/walker"))
-    times = made.GetPositionsAttr().GetTimeSamples()
+    instancer = UsdGeom.PointInstancer(bank.GetPrimAtPath("/World/walker"))
+    times = instancer.GetPositionsAttr().GetTimeSamples()
     assert times == [frame + part for frame in range(1, FRAMES + 1) for part in (-0.25, 0.0, 0.25)]
     four, five = (people.frame(frame)["P"].astype(np.float64) for frame in (4, 5))
-    assert np.allclose(made.GetPositionsAttr().Get(4.25), four + (five - four) / 4, atol=1e-5)
-    assert np.allclose(made.GetPositionsAttr().Get(4.75), five + (four - five) / 4, atol=1e-5)
-    assert np.allclose(made.GetVelocitiesAttr().Get(4.25), made.GetVelocitiesAttr().Get(4))
+    assert np.allclose(instancer.GetPositionsAttr().Get(4.25), four + (five - four) / 4, atol=1e-5)
+    assert np.allclose(instancer.GetPositionsAttr().Get(4.75), five + (four - five) / 4, atol=1e-5)
+    assert np.allclose(instancer.GetVelocitiesAttr().Get(4.25), instancer.GetVelocitiesAttr().Get(4))
     for frame in range(1, FRAMES + 1):
-        poses = [list(made.GetProtoIndicesAttr().Get(frame + part)) for part in (-0.25, 0.0, 0.25)]
+        poses = [list(instancer.GetProtoIndicesAttr().Get(frame + part)) for part in (-0.25, 0.0, 0.25)]
         assert poses[0] == poses[1] == poses[2], "one mesh while the shutter is open"
-    one = people.frame(1)["P"] - np.array(made.GetVelocitiesAttr().Get(1)) / 24 / 4
-    assert np.allclose(made.GetPositionsAttr().Get(0.75), one, atol=1e-5), "before the first frame its velocities lead back"
+    one = people.frame(1)["P"] - np.array(instancer.GetVelocitiesAttr().Get(1)) / 24 / 4
+    assert np.allclose(instancer.GetPositionsAttr().Get(0.75), one, atol=1e-5), "before the first frame its velocities lead back"
     limbs = exported(people, tmp_path / "limbs.usdc", shutter=(0, 0.5), samples=2)
     turns = limbs.GetPrimAtPath("/World/walker/motion/agent_0").GetAttribute("rotations")
     assert turns.GetTimeSamples() == [frame + part for frame in range(1, FRAMES + 1) for part in (0.0, 0.5)]
@@ -388,8 +388,8 @@ def test_blended_and_skinned_shapes_are_those_of_usd(tmp_path: Path) -> None:
     body = PosedBody(Definition("it", rig, shapes, {"body": layer}), ())
     stage = Usd.Stage.CreateInMemory()
     looks = Looks(stage, "/World/looks/it", {})
-    made = write_definition(stage, "/it", body, looks)
-    assert made.channels == ("smile",) and not made.notes
+    usd_definition = write_definition(stage, "/it", body, looks)
+    assert usd_definition.channels == ("smile",) and not usd_definition.notes
     assert [str(p.GetPath()) for p in stage.Traverse() if p.GetTypeName() == "Skeleton"] == [
         "/it/rig/skeleton",
         "/it/rig/skeleton_2",
@@ -400,7 +400,7 @@ def test_blended_and_skinned_shapes_are_those_of_usd(tmp_path: Path) -> None:
     local[:, :3, :3], local[:, :3, 3] = rotation(turns), rng.normal(size=(3, 3))
     placed = np.stack([local[0], local[0] @ local[1], local[0] @ local[1] @ local[2]])
     moves = UsdSkel.Animation.Define(stage, "/moves")
-    moves.CreateJointsAttr(list(made.joints))
+    moves.CreateJointsAttr(list(usd_definition.joints))
     moves.SetTransforms([pxr.Gf.Matrix4d(*m.T.ravel().tolist()) for m in local])
     moves.CreateBlendShapesAttr(["smile"])
     UsdSkel.BindingAPI.Apply(stage.GetPrimAtPath("/it")).CreateAnimationSourceRel().SetTargets([Sdf.Path("/moves")])
@@ -457,17 +457,17 @@ def test_agents_without_a_place_are_invisible(people: Cache, tmp_path: Path) -> 
 
     gallery, stage = Gallery(people), Usd.Stage.CreateInMemory()
     writer = InstancerWriter(Out(stage), people.manifest.species[0], 0)
-    moment = Moments(gallery).at(2, 2)
-    agents = moment.species[0]
-    seen = agents.seen.copy()
-    seen[3] = False
-    writer.sample(replace(moment, species=(replace(agents, seen=seen),)))
-    made = UsdGeom.PointInstancer(stage.GetPrimAtPath("/World/walker"))
-    assert list(made.GetInvisibleIdsAttr().Get(2)) == [agents.ids[3]]
-    assert list(made.ComputeMaskAtTime(2)) == seen.tolist()
+    time_sample = Moments(gallery).at(2, 2)
+    agents = time_sample.species[0]
+    is_visible = agents.is_visible.copy()
+    is_visible[3] = False
+    writer.sample(replace(time_sample, species=(replace(agents, seen=is_visible),)))
+    instancer = UsdGeom.PointInstancer(stage.GetPrimAtPath("/World/walker"))
+    assert list(instancer.GetInvisibleIdsAttr().Get(2)) == [agents.ids[3]]
+    assert list(instancer.ComputeMaskAtTime(2)) == is_visible.tolist()
 
 
-def test_what_usdskel_does_not_have_is_told() -> None:
+def test_missing_features_of_usdskel_are_reported() -> None:
     from pxr import Usd
 
     from antdsl.bodies.agents.deformers import DEFORMERS, register
@@ -480,7 +480,7 @@ def test_what_usdskel_does_not_have_is_told() -> None:
     share = {"share": np.ones(3, np.float32)}
     skin = Shape("skin", points, faces, attributes=dict(share), capture=capture, dual_quaternion_blend="share")
     layer = Layer("body", (), (Binding("", "skin", deformer="dualquatblendskinning"), Binding("root", "fur", deformer="ruffled")))
-    register("ruffled", lambda given, shape, definition, poses: given)
+    register("ruffled", lambda vertices, shape, definition, poses: vertices)
     try:
         shapes = {"skin": skin, "fur": Shape("fur", points, faces)}
         body = PosedBody(Definition("it", Rig(("root",), np.array([-1], np.int32), rest), shapes, {"body": layer}), ())
@@ -501,9 +501,9 @@ def test_who_takes_up_a_load_is_an_instance_of_the_body_that_has_one(carriers: C
         wears = carriers.frame(frame)["wears.carrier"].astype(bool)
         for number, loaded in enumerate(wears.tolist()):
             prims = [stage.GetPrimAtPath(f"/World/carrier/agent_{number}{end}") for end in ("", "_1", "_2")]
-            seen = [p for p in prims if p and UsdGeom.Imageable(p).ComputeVisibility(frame) == "inherited"]
-            assert len(seen) == 1 and seen[0].IsInstance(), (frame, number)
-            below = {prim.GetName() for prim in Usd.PrimRange(seen[0], Usd.TraverseInstanceProxies())}
+            visible_prims = [p for p in prims if p and UsdGeom.Imageable(p).ComputeVisibility(frame) == "inherited"]
+            assert len(visible_prims) == 1 and visible_prims[0].IsInstance(), (frame, number)
+            below = {prim.GetName() for prim in Usd.PrimRange(visible_prims[0], Usd.TraverseInstanceProxies())}
             assert ("crumb" in below) == loaded, (frame, number, below)
         turns += int((wears != carriers.frame(1)["wears.carrier"].astype(bool)).sum())
     assert turns, "somebody takes up a load"
@@ -511,11 +511,11 @@ def test_who_takes_up_a_load_is_an_instance_of_the_body_that_has_one(carriers: C
 
 
 def test_some_agents_wear_what_they_wear_among_all(carriers: Cache) -> None:
-    some = SomeAgents(carriers.folder, carriers.manifest, frozenset([1, 3]))
+    subset_cache = SomeAgents(carriers.folder, carriers.manifest, frozenset([1, 3]))
     worn = set()
     for frame in carriers.frames():
         all_layers = layers_by_id(Gallery(carriers).picture(frame))
-        assert layers_by_id(Gallery(some).picture(frame)) == {name: all_layers[name] for name in (1, 3)}
+        assert layers_by_id(Gallery(subset_cache).picture(frame)) == {name: all_layers[name] for name in (1, 3)}
         worn |= {all_layers[1], all_layers[3]}
     assert len(worn) == 2
 
@@ -546,7 +546,7 @@ def test_things_of_one_name_and_a_field_that_is_gone_keep_apart() -> None:
     trail = Trail("trail", np.zeros((2, 3)), np.ones(2), 1.0, (1.0, 0.0, 0.0), 1.0)
     for frame, trails in ((1, ()), (2, (trail,)), (3, ())):
         writer.frame(frame, Picture((), (), items, trails))
-    places = [p.GetAttribute("xformOp:translate").Get(1)[0] for p in out.stage.GetPrimAtPath("/World/items").GetChildren()]
-    assert places == [0, 5]
+    positions = [p.GetAttribute("xformOp:translate").Get(1)[0] for p in out.stage.GetPrimAtPath("/World/items").GetChildren()]
+    assert positions == [0, 5]
     points = out.stage.GetPrimAtPath("/World/fields/trail").GetAttribute("points")
     assert [len(points.Get(frame)) for frame in (1, 2, 3)] == [0, 2, 0]

@@ -28,7 +28,7 @@ def command(monkeypatch: pytest.MonkeyPatch, *words: str) -> int:
 
 
 @pytest.fixture(scope="module")
-def made(tmp_path_factory: pytest.TempPathFactory) -> tuple[Shot, Path]:
+def shot_and_cache(tmp_path_factory: pytest.TempPathFactory) -> tuple[Shot, Path]:
     """A short run of the set that moves, and its cache."""
     folder = tmp_path_factory.mktemp("export")
     path = usd_sets.write_usd(folder / "assets", folder / "usd")
@@ -43,11 +43,11 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> tuple[Shot, Path]:
 
 @pytest.mark.parametrize("suffix", ["usda", "usdc"])
 def test_a_cache_is_read_back_from_usd(
-    made: tuple[Shot, Path], tmp_path: Path, suffix: str, monkeypatch: pytest.MonkeyPatch
+    shot_and_cache: tuple[Shot, Path], tmp_path: Path, suffix: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     from pxr import Gf, Usd, UsdGeom
 
-    _, folder = made
+    _, folder = shot_and_cache
     file = tmp_path / f"out.{suffix}"
     assert command(monkeypatch, "export", str(folder), "--to", str(file), "--skeletons", "0") == 0
     assert [path.name for path in tmp_path.iterdir()] == [file.name], "nothing is left beside it"
@@ -65,8 +65,8 @@ def test_a_cache_is_read_back_from_usd(
         assert np.array_equal(state.GetIndices(frame), arrays["state"]) and list(state.Get()) == ["stroll", "eat"]
         assert np.array_equal(np.array(ants.GetScalesAttr().Get(frame))[:, 1], arrays["pscale"])
         # where an instance turns the body's head (+x) and back (+y)
-        ways = ants.ComputeInstanceTransformsAtTime(frame, frame, UsdGeom.PointInstancer.ExcludeProtoXform)
-        for matrix, orient in zip(ways, rotation(arrays["orient"].astype(np.float64)), strict=True):
+        transforms = ants.ComputeInstanceTransformsAtTime(frame, frame, UsdGeom.PointInstancer.ExcludeProtoXform)
+        for matrix, orient in zip(transforms, rotation(arrays["orient"].astype(np.float64)), strict=True):
             turn = np.array([matrix.TransformDir(Gf.Vec3d(*axis)).GetNormalized() for axis in np.eye(3).tolist()])
             assert np.abs(turn - orient.T).max() < 5e-3, "quaternions of half precision"
     poses = ants.GetPrototypesRel().GetTargets()
@@ -77,39 +77,49 @@ def test_a_cache_is_read_back_from_usd(
     assert (box[0] <= arrays["P"].min(axis=0) + 1).all() and (box[1] >= arrays["P"].max(axis=0) - 1).all()
 
 
-def test_the_validators_of_usd_find_nothing(made: tuple[Shot, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_validators_of_usd_find_nothing(
+    shot_and_cache: tuple[Shot, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     from pxr import Usd
 
     UsdValidation = pytest.importorskip("pxr.UsdValidation")
-    assert command(monkeypatch, "export", str(made[1]), "--to", str(tmp_path / "out.usdc"), "--frames", "2..4", "-q") == 0
+    assert (
+        command(monkeypatch, "export", str(shot_and_cache[1]), "--to", str(tmp_path / "out.usdc"), "--frames", "2..4", "-q") == 0
+    )
     stage = Usd.Stage.Open(str(tmp_path / "out.usdc"))
     assert stage.GetStartTimeCode() == 2
     validators = UsdValidation.ValidationRegistry().GetOrLoadAllValidators()
     assert len(validators) > 10
-    found = UsdValidation.ValidationContext(validators).Validate(stage)
-    assert [(e.GetName(), e.GetMessage()) for e in found] == []
+    errors = UsdValidation.ValidationContext(validators).Validate(stage)
+    assert [(e.GetName(), e.GetMessage()) for e in errors] == []
     # what is wrong would be found
     stage.GetPrimAtPath("/World").GetReferences().AddReference("./none.usda")
     assert UsdValidation.ValidationContext(validators).Validate(stage)
 
 
 def test_meshes_and_camera_come_back_through_a_scene(
-    made: tuple[Shot, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    shot_and_cache: tuple[Shot, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The world that was written, read as a set: the same meshes, moving alike, and the same camera."""
-    shot, folder = made
+    shot, folder = shot_and_cache
     assert command(monkeypatch, "export", str(folder), "--to", str(tmp_path / "out.usdc"), "-q") == 0
-    given = {"up": "z", "frames": range(1, 7), "fps": shot.setting.fps}
+    stage_arguments = {"up": "z", "frames": range(1, 7), "fps": shot.setting.fps}
     for name in ("ground", "stones", "roller"):
-        before = {**shot.setting.surfaces, **shot.setting.obstacles}[name]
-        after = read_usd_mesh(open_stage(Roots(tmp_path, {}), "out.usdc", f"/World/{name}", **given))
-        assert np.array_equal(after.raw.faces, before.faces) and np.abs(after.raw.vertices - before.vertices).max() < 1e-4
-        assert (after.moves is not None) == (name == "roller")
-    assert after.moves is not None
+        original_mesh = {**shot.setting.surfaces, **shot.setting.obstacles}[name]
+        loaded_mesh = read_usd_mesh(open_stage(Roots(tmp_path, {}), "out.usdc", f"/World/{name}", **stage_arguments))
+        assert (
+            np.array_equal(loaded_mesh.raw.faces, original_mesh.faces)
+            and np.abs(loaded_mesh.raw.vertices - original_mesh.vertices).max() < 1e-4
+        )
+        assert (loaded_mesh.moves is not None) == (name == "roller")
+    assert loaded_mesh.moves is not None
     moves = shot.setting.moves.meshes["roller"]
     for k in range(6):
-        assert np.abs(after.moves.vertices(after.raw.vertices, k) - moves.vertices(before.vertices, k)).max() < 1e-4
-    camera = read_usd_camera(open_stage(Roots(tmp_path, {}), "out.usdc", "/World/camera", **given))
+        assert (
+            np.abs(loaded_mesh.moves.vertices(loaded_mesh.raw.vertices, k) - moves.vertices(original_mesh.vertices, k)).max()
+            < 1e-4
+        )
+    camera = read_usd_camera(open_stage(Roots(tmp_path, {}), "out.usdc", "/World/camera", **stage_arguments))
     own = shot.setting.camera
     assert own is not None and np.allclose(camera.at, own.at) and np.allclose(camera.look_at, own.look_at, atol=1e-3)
     assert np.allclose(camera.up, own.up) and np.allclose(camera.focal, 35)
@@ -117,7 +127,7 @@ def test_meshes_and_camera_come_back_through_a_scene(
 
     stage = Usd.Stage.Open(str(tmp_path / "out.usdc"))
     assert all(prim.IsA(UsdGeom.Imageable) for prim in stage.Traverse() if str(prim.GetPath()).startswith("/World/items"))
-    food = read_usd_mesh(open_stage(Roots(tmp_path, {}), "out.usdc", "/World/items/food_0", **given))
+    food = read_usd_mesh(open_stage(Roots(tmp_path, {}), "out.usdc", "/World/items/food_0", **stage_arguments))
     middle = (food.raw.vertices.min(axis=0) + food.raw.vertices.max(axis=0)) / 2
     assert np.linalg.norm(middle - shot.setting.items["food"][0].position) < 10
 
@@ -171,10 +181,10 @@ species breeder {
     for frame in range(1, 6):
         ids = cache.frame(frame)["id"]
         counts.append(len(ids))
-        given = [
+        samples = [
             a.Get(frame) for a in (ants.GetPositionsAttr(), ants.GetIdsAttr(), ants.GetProtoIndicesAttr(), ants.GetScalesAttr())
         ]
-        assert {len(values) for values in given} == {len(ids)} and np.array_equal(given[1], ids)
+        assert {len(values) for values in samples} == {len(ids)} and np.array_equal(samples[1], ids)
     assert counts[-1] > counts[0]
 
 
@@ -199,10 +209,10 @@ def test_a_mesh_that_is_dug_changes_its_faces() -> None:
     assert hill.GetPointsAttr().GetTimeSamples() == [1, 2, 3]
 
 
-def test_wrong_use_is_told(
-    made: tuple[Shot, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+def test_wrong_commands_are_reported(
+    shot_and_cache: tuple[Shot, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    cache, file = str(made[1]), str(tmp_path / "out.usda")
+    cache, file = str(shot_and_cache[1]), str(tmp_path / "out.usda")
     assert command(monkeypatch, "export", cache, "--to", str(tmp_path / "out.abc")) == 2
     assert command(monkeypatch, "export", cache, "--to", file, "--frames", "90..95") == 3
     assert command(monkeypatch, "export", str(tmp_path), "--to", file) == 3

@@ -13,7 +13,7 @@ import pytest
 
 from antdsl.outputs.cache import npz, zip_parts
 from antdsl.outputs.cache.zip_parts import NotStored, Stored, form_of, read_headers, stored
-from antdsl.whole import write_whole
+from antdsl.whole import write_atomically
 
 MEMBERS = [
     ("frame.npy", b"head", np.int64(7).tobytes()), ("P.npy", b"a head of its own", bytes(range(256)) * 40),
@@ -21,12 +21,12 @@ MEMBERS = [
 ]  # fmt: skip
 
 
-def made(count: int = len(MEMBERS)) -> Stored:
+def build_zip(count: int = len(MEMBERS)) -> Stored:
     return stored((form_of(name, head, len(rest)), memoryview(rest)) for name, head, rest in MEMBERS[:count])
 
 
 def parts() -> list[bytes | memoryview]:
-    return list(made().parts)
+    return list(build_zip().parts)
 
 
 def cut(data: bytes, most: int) -> list[bytes]:
@@ -35,13 +35,13 @@ def cut(data: bytes, most: int) -> list[bytes]:
 
 @pytest.mark.parametrize("count", range(len(MEMBERS) + 1))
 def test_a_file_is_that_of_zipfile(count: int) -> None:
-    wanted = io.BytesIO()
-    with zipfile.ZipFile(wanted, "w", zipfile.ZIP_STORED) as file:
+    expected = io.BytesIO()
+    with zipfile.ZipFile(expected, "w", zipfile.ZIP_STORED) as file:
         for name, head, rest in MEMBERS[:count]:
             with file.open(zipfile.ZipInfo(name, (1980, 1, 1, 0, 0, 0)), "w") as member:
                 member.write(head)
                 member.write(rest)
-    assert b"".join(made(count).parts) == wanted.getvalue()
+    assert b"".join(build_zip(count).parts) == expected.getvalue()
 
 
 @pytest.mark.parametrize("limit", [0, 30, 5000, 20000])
@@ -59,7 +59,7 @@ def test_headers_are_read_from_blocks_of_any_length(limit: int | None, most: int
     if limit is not None:
         monkeypatch.setattr(zip_parts, "LIMIT", limit)
     for count in range(len(MEMBERS) + 1):
-        file = made(count)
+        file = build_zip(count)
         data = b"".join(file.parts)
         assert b"".join(read_headers(iter(cut(data, most)))) == b"".join(file.headers)
         assert len(data) == sum(map(len, file.headers)) + sum(len(head) + len(rest) for _, head, rest in MEMBERS[:count])
@@ -69,24 +69,24 @@ def test_who_knows_the_headers_sees_every_bit_that_differs_and_every_cut() -> No
     file = stored((form_of(name, head, len(rest[:40])), memoryview(rest[:40])) for name, head, rest in MEMBERS)
     data, headers = b"".join(file.parts), b"".join(file.headers)
 
-    def seen(other: bytes) -> bool:
+    def has_change(other: bytes) -> bool:
         try:
             return b"".join(read_headers(iter(cut(other, 100)))) != headers
         except NotStored:
             return True
 
-    assert not seen(data)
+    assert not has_change(data)
     for bit in range(8 * len(data)):
         changed = bytearray(data)
         changed[bit // 8] ^= 1 << bit % 8
-        assert seen(bytes(changed)), bit
-    assert all(seen(data[:length]) for length in range(len(data))) and seen(data + b"x")
+        assert has_change(bytes(changed)), bit
+    assert all(has_change(data[:length]) for length in range(len(data))) and has_change(data + b"x")
 
 
 def test_the_rest_of_a_member_is_not_copied() -> None:
     array = np.arange(10)
-    found = npz.npz_file({"a": array})
-    assert any(isinstance(part, memoryview) and np.shares_memory(np.frombuffer(part, np.uint8), array) for part in found.parts)
+    npz_data = npz.npz_file({"a": array})
+    assert any(isinstance(part, memoryview) and np.shares_memory(np.frombuffer(part, np.uint8), array) for part in npz_data.parts)
 
 
 @pytest.mark.parametrize("once", [1, 7, 300, None])
@@ -97,8 +97,8 @@ def test_parts_are_written_whole(once: int | None, most: int, tmp_path: Path, mo
     if once is None:
         monkeypatch.delattr(os, "writev", raising=False)
     else:
-        monkeypatch.setattr(os, "writev", lambda file, some: os.write(file, b"".join(some)[:once]), raising=False)
-    write_whole(tmp_path / "a.npz", parts(), sync=True)
+        monkeypatch.setattr(os, "writev", lambda file, buffers: os.write(file, b"".join(buffers)[:once]), raising=False)
+    write_atomically(tmp_path / "a.npz", parts(), sync=True)
     assert (tmp_path / "a.npz").read_bytes() == b"".join(parts())
-    write_whole(tmp_path / "a.npz", b"shorter", sync=False)
+    write_atomically(tmp_path / "a.npz", b"shorter", sync=False)
     assert (tmp_path / "a.npz").read_bytes() == b"shorter" and [p.name for p in tmp_path.iterdir()] == ["a.npz"]

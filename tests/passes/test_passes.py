@@ -33,7 +33,7 @@ def all_of(plan, kind: type, phase: str | None = None) -> list:
     return [s for p in phases for _, s in statements(getattr(plan.species["a"], p)) if isinstance(s, kind)]
 
 
-def test_fold_takes_regions_of_nobody_away_and_opens_those_of_everybody():
+def test_fold_removes_empty_regions_and_opens_those_of_all_agents():
     plan = plan_of("species a { start s\nstate s { steer heading\nwhen 1 > 2 -> t }\nstate t { when true -> s } }")
     folded = fold(plan)
     verify(folded)
@@ -48,12 +48,12 @@ def test_drop_unused_leaves_the_state_of_the_world_and_takes_the_rest():
         "species a { n = 0\nstart s\nstate s { n += 1 /s\nsteer heading * 0.5\nwhen n > 1 -> t }\n"
         "state t { when n > 2 -> s }\nlayers { up * 1; state when 1 > 2 } }"
     )
-    after = drop_unused(fold(plan))
-    verify(after)
-    registers = after.species["a"].registers
+    new_plan = drop_unused(fold(plan))
+    verify(new_plan)
+    registers = new_plan.species["a"].registers
     assert {"n", "main.time_in_state", "push.x"} <= set(registers)
     assert "~steer.x" in plan.species["a"].registers and "~steer.x" not in registers
-    assert not [s for s in all_of(after, Store) if s.register.startswith("~steer")]
+    assert not [s for s in all_of(new_plan, Store) if s.register.startswith("~steer")]
 
 
 def test_merge_joins_neighbours_with_one_condition_unless_the_first_changes_it():
@@ -76,14 +76,14 @@ def test_hoist_takes_what_all_pairs_share_out_of_them():
         "species a { start s\n"
         "state s { steer sum(n in neighbours(2 * size): direction(n, to: self) * (distance(n) / size) * mass / 1 g * 0.5) } }"
     )
-    after = hoist(plan)
-    verify(after)
+    new_plan = hoist(plan)
+    verify(new_plan)
 
     def pairs(p) -> int:
         return sum(n.rate is Rate.PAIR and n.op in ("mul", "div") for n in needed(roots(p)))
 
-    assert pairs(after) < pairs(plan)
-    assert not [n for n in needed(roots(after)) if n.op == "div" and n.rate is Rate.PAIR and n.args[1].rate < Rate.PAIR]
+    assert pairs(new_plan) < pairs(plan)
+    assert not [n for n in needed(roots(new_plan)) if n.op == "div" and n.rate is Rate.PAIR and n.args[1].rate < Rate.PAIR]
 
 
 def test_hoist_shares_among_components_what_is_the_same_for_all():
@@ -91,16 +91,16 @@ def test_hoist_shares_among_components_what_is_the_same_for_all():
         "species a { start s\nstate s { steer sum(n in neighbours(2 * size): "
         "direction(n, to: self) * (1 - distance(n) / size)) } }"
     )
-    after = hoist(plan)
-    verify(after)
+    new_plan = hoist(plan)
+    verify(new_plan)
 
     def products(p) -> int:
         return sum(n.rate is Rate.PAIR and n.op in ("mul", "neg", "div") for n in needed(roots(p)))
 
     # 1 / distance, its product with the weight, distance * (1 / size), and one product for each of x, y and z
-    assert products(after) == 6
+    assert products(new_plan) == 6
     assert products(plan) == 11
-    sums = [n for n in needed(roots(after)) if n.op == "reduce.sum"]
+    sums = [n for n in needed(roots(new_plan)) if n.op == "reduce.sum"]
     assert [n.args[2].args[0].op for n in sums] == ["pair.x", "pair.y", "pair.z"]
 
 
@@ -109,9 +109,9 @@ def test_narrow_asks_the_cheap_half_first():
         "species a { n = 0\nstart s\nstate s { n += 1 /s\nsteer heading }\n"
         "layers { up * 0.5 when nearest(food, within: 9 mm) is not none and n > 3; state } }"
     )
-    after = narrow(plan)
-    verify(after)
-    outer = next(s for s in after.species["a"].blend.statements if isinstance(s, If))
+    new_plan = narrow(plan)
+    verify(new_plan)
+    outer = next(s for s in new_plan.species["a"].blend.statements if isinstance(s, If))
     inner = outer.then.statements[0]
     assert isinstance(inner, If)
     assert not [n for n in needed(operands(outer)) if n.op in SENSES]
@@ -131,8 +131,8 @@ def test_keep_notes_senses_that_several_regions_ask_for():
 
 def test_passes_are_idempotent_together():
     for case in CASES:
-        once = optimise(plan_of(case.read_text(), world=""))
-        assert show(optimise(once)) == show(once), case.name
+        first_result = optimise(plan_of(case.read_text(), world=""))
+        assert show(optimise(first_result)) == show(first_result), case.name
 
 
 def test_every_pass_says_what_it_does_and_stands_in_the_docs_in_order():

@@ -29,9 +29,9 @@ def test_constants_are_computed_as_float32(a, b):
 
     with np.errstate(all="ignore"):
         x, y = np.float32(a), np.float32(b)
-        wanted = {"add": x + y, "sub": x - y, "mul": x * y, "div": x / y, "sqrt": np.sqrt(x), "floor": np.floor(x), "neg": -x}
+        expected = {"add": x + y, "sub": x - y, "mul": x * y, "div": x / y, "sqrt": np.sqrt(x), "floor": np.floor(x), "neg": -x}
     build = Builder()
-    for op, value in wanted.items():
+    for op, value in expected.items():
         args = (build.number(a),) if op in ("sqrt", "floor", "neg") else (build.number(a), build.number(b))
         node = build(op, *args)
         if node.op != "const" or (value == 0 and node.attrs[0] == 0):

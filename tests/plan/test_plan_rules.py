@@ -68,14 +68,14 @@ def test_chance_follows_its_draw():
     assert one("pick(1, 2, 3, 4)", draw=0.74)["x"] == 3
     assert one("pick(1, 2, 3, 4)", draw=0.76)["x"] == 4
     u1, u2 = 0.3, 0.6
-    wanted = 5 + 2 * math.sqrt(-2 * math.log(1 - u1)) * math.cos(2 * math.pi * u2)
+    expected = 5 + 2 * math.sqrt(-2 * math.log(1 - u1)) * math.cos(2 * math.pi * u2)
     plan = plan_of("species a { x = 0\nstart s\nstate s { x = normal(5, 2) } }")
     sites = [n.attrs for n in plan.nodes if n.op == "draw"]
     assert len({site for site, _ in sites}) == 1 and {index for _, index in sites} == {0, 1}
     senses = {("draw", *attrs): (u1, u2)[attrs[1]] for attrs in sites}
     agent = Agent(plan, "a")
     agent.senses |= senses
-    assert agent.step()["x"] == pytest.approx(wanted, rel=1e-5)
+    assert agent.step()["x"] == pytest.approx(expected, rel=1e-5)
 
 
 ITEM = {
@@ -142,12 +142,12 @@ def test_feelers_are_written_out_from_side_to_side():
 
 def ops_of(text: str) -> dict[str, list[tuple]]:
     plan = plan_of(text)
-    found: dict[str, list[tuple]] = {}
+    operations: dict[str, list[tuple]] = {}
     for species in plan.species.values():
         for phase in (species.born, species.decide, species.act, species.blend):
             for node in needed(n for _, s in statements(phase) for n in operands(s)):
-                found.setdefault(node.op, []).append(node.attrs)
-    return found
+                operations.setdefault(node.op, []).append(node.attrs)
+    return operations
 
 
 def test_sets_become_what_the_runtime_has():
@@ -184,8 +184,8 @@ def test_what_cannot_run_is_refused_at_its_place():
     world = "ant 1\nworld {\n  surface ground\n  obstacle stones\n}\nfield trail on stones { cell 4 mm; half_life 4 s }\n"
     _, report = lowered("species a {\n  start s\n  state s { steer heading * trail }\n}", world)
     assert set(codes(report)) == {"not-yet"}
-    places = [d.span.source.line_column(d.span.start)[0] for d in report.diagnostics if d.span]
-    assert places == [6]
+    lines = [d.span.source.line_column(d.span.start)[0] for d in report.diagnostics if d.span]
+    assert lines == [6]
     assert all(d.help for d in report.diagnostics)
 
 
@@ -210,8 +210,8 @@ def test_an_order_that_does_not_fit_is_refused(order, word):
 
 @pytest.mark.parametrize("sign", ["+", "*", "/", "-"])
 def test_what_stands_deep_in_an_expression_is_lowered_once(sign: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    found = []
+    nodes = []
     plain = expressions._param
-    monkeypatch.setitem(expressions._LOWER, model.ParamRef, lambda w, e: found.append(e) or plain(w, e))
+    monkeypatch.setitem(expressions._LOWER, model.ParamRef, lambda w, e: nodes.append(e) or plain(w, e))
     plan_of(f"species a {{\nparam deep = 2\nx = 0\nstart s\nstate s {{ x = {f' {sign} '.join(['deep'] * 24)} }}\n}}\n")
-    assert len(found) == 24
+    assert len(nodes) == 24

@@ -15,8 +15,8 @@ from antdsl.passes import optimise
 def agent(request):
     """Makes the agent of a species `a` from the text of its members."""
 
-    def make(members: str, before: str = "", **senses) -> Agent:
-        plan = plan_of(f"{before}\nspecies a {{\n{members}\n}}\n")
+    def make(members: str, preamble: str = "", **senses) -> Agent:
+        plan = plan_of(f"{preamble}\nspecies a {{\n{members}\n}}\n")
         return Agent(plan if request.param == "as lowered" else optimise(plan), "a", **senses)
 
     return make
@@ -99,7 +99,7 @@ def test_held_counts_whole_steps_without_a_break(agent, fps):
     assert a.step().state == "q"
 
 
-def test_held_begins_anew_when_the_state_is_entered_again(agent):
+def test_held_restarts_when_the_state_is_entered_again(agent):
     a = agent(
         "start p\nstate p { when frame > 9 and frame < 12 -> q\nwhen touching(ground) held 0.5 s -> r }\n"
         "state q { when after 0.1 s -> p }\nstate r { when false -> p }"
@@ -188,7 +188,7 @@ def test_a_let_shows_the_start_of_the_step_and_lines_see_what_is_above(agent):
     assert (a["m"], a["k"]) == (2, 5)
 
 
-def test_keep_is_first_then_next_and_rests_where_it_is_not_asked(agent):
+def test_keep_takes_first_then_next_and_pauses_where_it_is_not_evaluated(agent):
     a = agent(
         "start p\nstate p { steer up * turn_of()\nwhen frame > 2 and frame < 5 -> q }\nstate q { when frame > 4 -> p }",
         "behaviour turn_of() -> number { keep k = 1 then k * 2\n k / 1000 }",
@@ -199,11 +199,11 @@ def test_keep_is_first_then_next_and_rests_where_it_is_not_asked(agent):
 
 def test_a_latch_has_two_thresholds(agent):
     a = agent("h = 0\non_now = 0\nlatch hungry = h > 0.6 until h < 0.2\nstart p\nstate p { on_now = if hungry then 1 else 0 }")
-    seen = []
+    values = []
     for h in (0.5, 0.7, 0.5, 0.3, 0.1, 0.5):
         a.now["h"] = h
-        seen.append(a.step()["on_now"])
-    assert seen == [0, 1, 1, 1, 0, 0]
+        values.append(a.step()["on_now"])
+    assert values == [0, 1, 1, 1, 0, 0]
 
 
 @pytest.mark.parametrize("fps", [12, 24])

@@ -24,7 +24,7 @@ from antdsl.program.names.scope import type_from_words
 from antdsl.program.tables import effects
 from antdsl.program.tables.effects import EFFECTS, Effect
 from antdsl.program.tables.rows import Arg, Builtin
-from antdsl.program.tables.senses import SENSES, WORDS, spoken
+from antdsl.program.tables.senses import SENSES, WORDS, find_words
 from antdsl.program.tables.set_senses import SET_SENSES
 from antdsl.program.tables.things import KINDS_OF_THINGS
 from antdsl.program.tables.vocabulary import BUILTINS, COSTS, INTERVALS, SENSED_NAMES
@@ -55,25 +55,25 @@ def test_every_word_of_a_sense_has_a_rule_and_a_name_in_the_vocabulary() -> None
     assert len({word.op for word in words}) == len(words)
     for word in words:
         assert word.op in OPERATIONS
-        assert word.help and (word.sample or word.called or word.spoken == "value")
+        assert word.help and (word.sample or word.called or word.form == "value")
         assert type_from_words(word.result) is not None or word.result.startswith("vector ") or word.result == "hit"
-        if word.spoken == "call":
+        if word.form == "call":
             assert word in BUILTINS[word.name]
-        elif word.spoken == "name":
+        elif word.form == "name":
             assert SENSED_NAMES[word.name] == word.result and not word.args
         assert (word.interval is None) == (word.op not in INTERVALS) and (word.cost is None) == (word.op not in COSTS)
     for row in SENSES.values():
         for word in row.words:
             assert word.result == "hit" or row.place(word.part)[1] in (1, 3)
-    assert {word.args[0].type for word in spoken("value")} == {"field", "flow", "map"}
+    assert {word.args[0].type for word in find_words("value")} == {"field", "flow", "map"}
 
 
 def test_every_set_has_a_rule_and_operations() -> None:
     assert set(sets.SETS) == set(SET_SENSES) <= set(BUILTINS)
     for row in SET_SENSES.values():
         assert set(row.sets) <= set(ir.OPS) and (row.cost is None) == (not row.sets)
-    made = {op for row in SET_SENSES.values() for op in row.sets}
-    assert {op for op in ir.OPS if op.startswith("set.")} <= made
+    set_operations = {op for row in SET_SENSES.values() for op in row.sets}
+    assert {op for op in ir.OPS if op.startswith("set.")} <= set_operations
 
 
 WORLD = """ant 1
@@ -91,21 +91,21 @@ EVERYTHING = """species ant {
 
 def test_every_effect_is_lowered_and_settled() -> None:
     plan = plan_of(EVERYTHING, WORLD)
-    asked = {
+    request_ops = {
         s.op
         for each in plan.species.values()
         for b in (each.decide, each.act)
         for _, s in statements(b)
         if isinstance(s, ir.Request)
     }
-    assert asked == set(EFFECTS), f"{asked ^ set(EFFECTS)}: each has to stand in EVERYTHING above"
+    assert request_ops == set(EFFECTS), f"{request_ops ^ set(EFFECTS)}: each has to stand in EVERYTHING above"
     assert set(EFFECTS) == set(phases.SETTLES), f"{set(EFFECTS) ^ set(phases.SETTLES)}: each has a function that settles it"
     assert set(VERBS) - set(EFFECTS) == {"give", "play", "wear", "channel", "look"}  # settled between all who ask; what is shown
     names = {name for name, _ in phases.PHASES}
     for op, row in EFFECTS.items():
         assert op == row.op and row.phase in names and row.optional <= set(row.operands)
-        given = {**dict.fromkeys(row.operands, "1"), "of": "it", "own": "soil", "whom": "ant"}
-        assert "{" not in effects.phrase(row.shown, given) + effects.phrase(row.trace, given)
+        arguments = {**dict.fromkeys(row.operands, "1"), "of": "it", "own": "soil", "whom": "ant"}
+        assert "{" not in effects.phrase(row.plan_text, arguments) + effects.phrase(row.trace, arguments)
         assert not row.above_0 or row.refused
         assert bool(row.computed) == (op in OPERANDS) and len(row.args) - len(row.numbers) <= 1
         assert row.computed or all(argument_type(arg).kind in (Kind.NUMBER, Kind.AGENT) for arg in row.numbers)
@@ -139,7 +139,7 @@ def test_an_effect_is_a_row_and_a_function(monkeypatch: pytest.MonkeyPatch) -> N
         step(world)
         ants = world.populations["ant"]
         assert ants.now["marks"][np.argsort(ants.ids)].tolist() == [0, 0, 0, 2, 4, 6]
-        assert not ants.effects.asked
+        assert not ants.effects.requests
 
 
 @pytest.mark.parametrize(
@@ -164,13 +164,15 @@ def test_every_kind_of_thing_has_its_word_its_kind_and_its_list() -> None:
     for row in KINDS_OF_THINGS.values():
         assert Kind(row.word) and row.help and row.word in row.sample
         assert set(row.serves) <= set(KINDS_OF_THINGS)
-        assert bool(row.given) == bool(row.scene) == bool(row.snippet) == (row.word in MODELS)
+        assert bool(row.scene_form) == bool(row.scene) == bool(row.snippet) == (row.word in MODELS)
         assert row.snippet.partition(":")[0].strip("{}$1:") == row.scene.partition(":")[0].strip("{") or row.word == "items"
 
 
 def test_the_reference_tells_of_every_sense_and_set() -> None:
     text = (Path(__file__).resolve().parents[2] / "grammar" / "README.md").read_text(encoding="utf-8")
     part = text.split("## 10. Senses")[1].split("## 11. ")[0]
-    told = {word for line in part.splitlines() if line.startswith("| `") for word in re.findall(r"`(\w+)", line.split(" | ")[0])}
-    words = {word.name for how in ("call", "name") for word in spoken(how)} | set(SET_SENSES)
-    assert words - told == {"match"}  # in the section about numbers: it asks nothing of the place
+    documented_words = {
+        word for line in part.splitlines() if line.startswith("| `") for word in re.findall(r"`(\w+)", line.split(" | ")[0])
+    }
+    words = {word.name for how in ("call", "name") for word in find_words(how)} | set(SET_SENSES)
+    assert words - documented_words == {"match"}  # in the section about numbers: it asks nothing of the place

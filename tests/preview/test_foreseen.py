@@ -27,15 +27,15 @@ def session(tmp_path: Path) -> Session:
 @pytest.fixture
 def compiled(monkeypatch: pytest.MonkeyPatch) -> list[int]:
     """Grows by one for each time that a scene is compiled."""
-    found: list[int] = []
+    calls: list[int] = []
     opened = compiling.open_scene
 
     def counted(*words: object, **named: object) -> object:
-        found.append(1)
+        calls.append(1)
         return opened(*words, **named)  # type: ignore[arg-type]
 
     monkeypatch.setattr(compiling, "open_scene", counted)
-    return found
+    return calls
 
 
 def edit(session: Session, name: str, old: str, new: str) -> None:
@@ -51,12 +51,12 @@ def pace(session: Session) -> float:
 
 def test_a_reload_finds_its_shot_made(session: Session, compiled: list[int]) -> None:
     session.step()
-    before, hash_ = session.shot, session.hash
+    initial_shot, hash_ = session.shot, session.hash
     edit(session, "forager.ant", "30 mm/s", "36 mm/s")
     session.foresee()
-    assert session.shot is before and session.hash == hash_ and not session.edited
-    done = session.reload()
-    assert done.ok and len(compiled) == 1 and pace(session) == 36
+    assert session.shot is initial_shot and session.hash == hash_ and not session.edited
+    outcome = session.reload()
+    assert outcome.ok and len(compiled) == 1 and pace(session) == 36
     session.step()
     assert session.reload().line == "nothing has changed" and len(compiled) == 2, "it is made use of once"
 
@@ -71,12 +71,12 @@ CHANGES: dict[str, Callable[[Session], None]] = {
 
 
 @pytest.mark.parametrize("what", CHANGES)
-def test_what_changes_after_it_is_compiled_anew(session: Session, compiled: list[int], what: str) -> None:
+def test_later_changes_are_compiled_again(session: Session, compiled: list[int], what: str) -> None:
     edit(session, "forager.ant", "30 mm/s", "36 mm/s")
     session.foresee()
     CHANGES[what](session)
-    done = session.reload()
-    assert done.ok, [d.message for d in done.report.errors]
+    outcome = session.reload()
+    assert outcome.ok, [d.message for d in outcome.report.errors]
     assert len(compiled) == 2
     assert pace(session) == (38 if what == "the program" else 36)
     assert session.shot.setting.seed == (4 if what == "the scene" else 3)
@@ -93,12 +93,12 @@ def test_a_mesh_that_is_gone_by_then_is_complained_about(session: Session) -> No
 
 def test_a_file_that_is_half_written_is_no_reason_to_do_anything(session: Session, compiled: list[int]) -> None:
     program = session.compiler.scene.with_name("forager.ant")
-    whole = program.read_text().replace("30 mm/s", "36 mm/s")
-    program.write_text(whole[: len(whole) // 2])
-    before = session.hash
+    program_text = program.read_text().replace("30 mm/s", "36 mm/s")
+    program.write_text(program_text[: len(program_text) // 2])
+    initial_hash = session.hash
     session.foresee()
-    assert session.hash == before
-    program.write_text(whole)
+    assert session.hash == initial_hash
+    program.write_text(program_text)
     assert session.reload().ok and len(compiled) == 2 and pace(session) == 36
 
 

@@ -80,10 +80,10 @@ def clip(name: str, samples: int, seed: int, joints: tuple[str, ...], loop: bool
     turns = random.normal((0, 0, 0, 2), size=(samples, len(joints), 4))
     turns /= np.linalg.norm(turns, axis=2, keepdims=True)
     moves, scales, shears = (random.normal(mean, 0.2, (samples, len(joints), 3)).astype(np.float32) for mean in (0.5, 1, 0))
-    made = [moves, turns.astype(np.float32), scales, shears]
+    tracks = [moves, turns.astype(np.float32), scales, shears]
     if loop:
-        made = [np.concatenate([part[:-1], part[:1]]) for part in made]
-    return Clip(name, 24.0, joints, made[0], made[1], made[2], made[3], loop=loop)
+        tracks = [np.concatenate([part[:-1], part[:1]]) for part in tracks]
+    return Clip(name, 24.0, joints, tracks[0], tracks[1], tracks[2], tracks[3], loop=loop)
 
 
 def crane(size: float = 1.0) -> Definition:
@@ -105,15 +105,15 @@ def crane(size: float = 1.0) -> Definition:
 def machines(count: int, seed: int = 7) -> tuple[MachineClips, MachineClips]:
     """Agents of which each has other clips, in the middle of changes; some play nothing."""
     random = np.random.default_rng(seed)
-    found = []
+    machine_clips = []
     for _ in range(2):
         clips = random.integers(-1, len(PLAYS), (2, count)).astype(np.int16)
         turns = random.uniform(-2, 3, (2, count)).astype(np.float32)
         weights = random.uniform(size=(2, count)).astype(np.float32)
         fade = random.choice([0.0, 0.3, 0.8], count).astype(np.float32)
-        found.append(MachineClips(clips[0], turns[0], weights[0], clips[1], turns[1], weights[1], fade))
+        machine_clips.append(MachineClips(clips[0], turns[0], weights[0], clips[1], turns[1], weights[1], fade))
     earlier = random.integers(-1, len(PLAYS), count).astype(np.int16), *random.uniform(size=(3, count)).astype(np.float32)
-    return replace(found[0], **dict(zip(EARLIER, earlier, strict=True))), found[1]
+    return replace(machine_clips[0], **dict(zip(EARLIER, earlier, strict=True))), machine_clips[1]
 
 
 def leans(count: int) -> NDArray[np.int8]:
@@ -121,7 +121,7 @@ def leans(count: int) -> NDArray[np.int8]:
     return (np.random.default_rng(6).uniform(-127, 127, (count, 3)) * (1, 1, 0)).astype(np.int8)
 
 
-def frame(plays: tuple[MachineClips, ...], number: int = 20, more: Mapping[str, NDArray[Any]] | None = None) -> bytes:
+def frame(plays: tuple[MachineClips, ...], number: int = 20, extra_arrays: Mapping[str, NDArray[Any]] | None = None) -> bytes:
     count = len(plays[0].clip)
     loops = np.array([True, False, True, False, False, False])
     side = np.arange(count, dtype=np.float32)
@@ -135,7 +135,7 @@ def frame(plays: tuple[MachineClips, ...], number: int = 20, more: Mapping[str, 
         "ant/state/main": np.zeros(count, np.uint8),
     }  # fmt: skip
     arrays |= {f"ant/plays/{name}": packed(each, loops) for name, each in zip(("main", "arms"), plays, strict=True)}
-    arrays |= {f"ant/{name}": array for name, array in {"lean": leans(count), **(more or {})}.items()}
+    arrays |= {f"ant/{name}": array for name, array in {"lean": leans(count), **(extra_arrays or {})}.items()}
     return pack("frame", arrays, frame=number, light=False, felt=[])
 
 
@@ -143,7 +143,7 @@ def rig(body: Definition) -> bytes:
     return rig_packet("ant", Outfit(body, PLAYS, leans=True), ("main", "arms"))
 
 
-def wanted(body: Definition, plays: tuple[MachineClips, ...], level: PosedBody) -> NDArray[np.float64]:
+def expected_bones(body: Definition, plays: tuple[MachineClips, ...], level: PosedBody) -> NDArray[np.float64]:
     """The matrices [n, B, 3, 4] of the bones of a mesh, by what antdsl itself makes of what is played."""
     table = clip_table(body)
     return in_bones(body, level, posed(table, body.groups, playing(table, plays)).world)
@@ -192,8 +192,8 @@ def bones(page: Stage, agent: int) -> NDArray[np.float64]:
 
 @pytest.fixture(scope="module")
 def browser() -> Iterator[Browser]:
-    with chromium() as found:
-        yield found
+    with chromium() as chromium_browser:
+        yield chromium_browser
 
 
 @pytest.fixture
@@ -211,7 +211,7 @@ def test_bones_are_where_antdsl_puts_them(page: Stage, near: bool) -> None:
         page.page.locator("#view > canvas").press("g")
     page.page.wait_for_timeout(300)
     level = PosedBody(body, PLAYS)
-    expected = wanted(body, plays, level)
+    expected = expected_bones(body, plays, level)
     assert len(level.coarse.mesh.joint) == len(level.mesh.joint) == 8
     for row in (0,) if near else range(60):
         assert np.abs(bones(page, 10 + row) - expected[row]).max() < 1e-3, row
@@ -221,15 +221,15 @@ def test_legs_are_bent_as_antdsl_bends_them(page: Stage) -> None:
     body, plays, count = legged(), machines(40), 40
     feet, light = standing(count)
     legs, level, table = Legs(body), PosedBody(body, PLAYS), clip_table(body)
-    stands = legs.kept(PLAYS, plays, count)
+    stands = legs.stance_weights(PLAYS, plays, count)
     assert 0 < stands.min() < 0.9 and stands.max() == 1
     placed = PlacedFeet(feet.shown.transpose(1, 2, 0), feet.down.astype(np.uint8), feet.phase, feet.rise, quaternions(feet.slope))
     turned = orientation(light.heading.astype(np.float64), light.up.astype(np.float64))
-    beside = placed.beside(light.position, turned, light.size).less(stands)
+    beside = placed.beside(light.position, turned, light.size).scale_trunk(stands)
     poses = posed(table, body.groups, playing(table, plays))
-    expected = in_bones(body, level, legs.bent(poses, beside, stands).world)
-    assert np.abs(expected - wanted(body, plays, level)).max() > 0.3, "legs and trunks are moved"
-    page.tell(scene(camera=CAMERA), texts(), status(), rig(body), frame(plays, more=stances(legs, feet, light, stands)))
+    expected = in_bones(body, level, legs.bend_legs(poses, beside, stands).world)
+    assert np.abs(expected - expected_bones(body, plays, level)).max() > 0.3, "legs and trunks are moved"
+    page.tell(scene(camera=CAMERA), texts(), status(), rig(body), frame(plays, extra_arrays=stances(legs, feet, light, stands)))
     page.page.wait_for_timeout(300)
     for row in range(count):
         assert np.abs(bones(page, 10 + row) - expected[row]).max() < 2e-3, row
@@ -241,12 +241,12 @@ def test_parts_look_where_antdsl_has_them_look(page: Stage) -> None:
     looks = np.rint(127 * looks / np.linalg.norm(looks, axis=1, keepdims=True)).astype(np.int8)
     level, table = PosedBody(body, PLAYS), clip_table(body)
     poses = posed(table, body.groups, playing(table, plays))
-    ways = looks.astype(np.float32) / np.linalg.norm(looks, axis=1, keepdims=True).astype(np.float32)
-    turned = with_looks(table, poses, {"arms": ways}, body.groups, body.base()[:3, :3])
+    directions = looks.astype(np.float32) / np.linalg.norm(looks, axis=1, keepdims=True).astype(np.float32)
+    turned = with_looks(table, poses, {"arms": directions}, body.groups, body.base()[:3, :3])
     expected = in_bones(body, level, turned.world)
-    assert np.abs(expected - wanted(body, plays, level)).max() > 0.3
-    told = rig_packet("ant", Outfit(body, PLAYS, (), ("arms",), True), ("main", "arms"))
-    page.tell(scene(camera=CAMERA), texts(), status(), told, frame(plays, more={"look/arms": looks}))
+    assert np.abs(expected - expected_bones(body, plays, level)).max() > 0.3
+    message = rig_packet("ant", Outfit(body, PLAYS, (), ("arms",), True), ("main", "arms"))
+    page.tell(scene(camera=CAMERA), texts(), status(), message, frame(plays, extra_arrays={"look/arms": looks}))
     page.page.wait_for_timeout(300)
     for row in range(count):
         assert np.abs(bones(page, 10 + row) - expected[row]).max() < 1e-3, row
@@ -259,12 +259,12 @@ def test_agents_show_the_layers_that_they_wear(page: Stage) -> None:
     body = replace(body, shapes={**body.shapes, "hat": box}, layers={**body.layers, "hat": hats[0], "cap": hats[1]})
     masks = PosedBody(body, PLAYS, ("hat", "cap")).masks
     assert [int((masks == mask).sum()) for mask in (0, 1, 2)] == [64, 8, 8]
-    told = rig_packet("ant", Outfit(body, PLAYS, ("hat", "cap"), leans=True), ("main", "arms"))
-    page.tell(scene(camera=CAMERA), texts(), status(), told)
+    message = rig_packet("ant", Outfit(body, PLAYS, ("hat", "cap"), leans=True), ("main", "arms"))
+    page.tell(scene(camera=CAMERA), texts(), status(), message)
 
     def coloured(wears: int) -> int:
-        page.tell(frame(plays, more={"wears": np.full(12, wears, np.uint32)}))
-        picture = seen(page)
+        page.tell(frame(plays, extra_arrays={"wears": np.full(12, wears, np.uint32)}))
+        picture = take_screenshot(page)
         return int(((picture[..., 0] > 90) & (picture[..., 2] < 0.6 * picture[..., 0])).sum())
 
     none, hat, both = coloured(0), coloured(1), coloured(3)
@@ -272,17 +272,17 @@ def test_agents_show_the_layers_that_they_wear(page: Stage) -> None:
     assert coloured(0) == none
 
 
-def told_traits(worn: Outfit, plays: tuple[MachineClips, ...], driven: Driven) -> dict[str, NDArray[np.float32]]:
+def trait_arrays(worn: Outfit, plays: tuple[MachineClips, ...], driven: Driven) -> dict[str, NDArray[np.float32]]:
     """What a frame tells of what bodies differ by."""
     assert driven.draws is not None
-    found, differ = traits(worn), worn.definition.variation
-    parts = [*blended_by(worn, found, plays, len(driven.draws.ids), driven.channels, leans(12)[:, :2] / 127).T]
-    parts += [size_of(differ, name, driven.draws) for name in found.scales]
-    parts += [place_of(differ, name, driven.draws) for name in found.materials]
-    whole = np.zeros((-(-len(parts) // 3) * 3, len(driven.draws.ids)), np.float32)
+    body_traits, differ = traits(worn), worn.definition.variation
+    parts = [*blended_by(worn, body_traits, plays, len(driven.draws.ids), driven.channels, leans(12)[:, :2] / 127).T]
+    parts += [size_of(differ, name, driven.draws) for name in body_traits.scales]
+    parts += [place_of(differ, name, driven.draws) for name in body_traits.materials]
+    padded_array = np.zeros((-(-len(parts) // 3) * 3, len(driven.draws.ids)), np.float32)
     for k, part in enumerate(parts):
-        whole[k] = part
-    return {f"trait/{k}": whole[3 * k : 3 * k + 3].T for k in range(len(whole) // 3)}
+        padded_array[k] = part
+    return {f"trait/{k}": padded_array[3 * k : 3 * k + 3].T for k in range(len(padded_array) // 3)}
 
 
 def test_parts_are_as_large_as_antdsl_has_them_by_id(page: Stage) -> None:
@@ -291,10 +291,10 @@ def test_parts_are_as_large_as_antdsl_has_them_by_id(page: Stage) -> None:
     driven = Driven(draws=Draws(np.arange(10, 22), 3, "ant"), lean=leans(12)[:, :2].astype(np.float32) / 127)
     level = PosedBody(body, PLAYS)
     expected = in_bones(body, level, level.poses(plays, 12, driven=driven).world)
-    assert np.abs(expected - wanted(body, plays, level)).max() > 0.3
+    assert np.abs(expected - expected_bones(body, plays, level)).max() > 0.3
     worn = Outfit(body, PLAYS, leans=True)
     page.tell(scene(camera=CAMERA), texts(), status(), rig_packet("ant", worn, ("main", "arms")))
-    page.tell(frame(plays, more=told_traits(worn, plays, driven)))
+    page.tell(frame(plays, extra_arrays=trait_arrays(worn, plays, driven)))
     page.page.wait_for_timeout(300)
     for row in range(12):
         assert np.abs(bones(page, 10 + row) - expected[row]).max() < 1e-3, row
@@ -309,8 +309,8 @@ def blended() -> Definition:
     joints = np.repeat(np.arange(8), 8)[:, None].astype(np.int32)
     capture = Capture(body.rig.names, joints, np.ones((64, 1), np.float32), np.linalg.inv(rest))
 
-    def shape(name: str, apart: float, **more: Any) -> Shape:
-        return Shape(name, points + random.normal(0, apart, points.shape).astype(np.float32), faces, capture=capture, **more)
+    def shape(name: str, spread: float, **fields: Any) -> Shape:
+        return Shape(name, points + random.normal(0, spread, points.shape).astype(np.float32), faces, capture=capture, **fields)
 
     shapes = [
         shape("base", 0, blend=Blend(("puffed", "torn"), ("puff", "tear"))),
@@ -331,11 +331,11 @@ def test_blend_shapes_go_by_clips_and_by_what_is_said_of_channels() -> None:
     said = np.where(np.arange(12) % 3 == 0, np.nan, np.linspace(-0.5, 1.5, 12)).astype(np.float32)
     driven = Driven({"puff": said}, draws=Draws(np.arange(10, 22)), lean=leans(12)[:, :2].astype(np.float32) / 127)
     worn, level = Outfit(body, PLAYS, leans=True), PosedBody(body, PLAYS)
-    found = traits(worn)
-    weights = blended_by(worn, found, plays, 12, driven.channels, driven.lean)
-    assert len(found.targets) == 3 and len(np.unique(weights[:, 1:])) > 6
+    body_traits = traits(worn)
+    weights = blended_by(worn, body_traits, plays, 12, driven.channels, driven.lean)
+    assert len(body_traits.targets) == 3 and len(np.unique(weights[:, 1:])) > 6
     targets = blend_targets(level.shaded, level.bindings, level.taken)
-    moved = sum(weights[:, k, None, None] * targets[each][None] for k, each in enumerate(found.targets))
+    moved = sum(weights[:, k, None, None] * targets[each][None] for k, each in enumerate(body_traits.targets))
     points, _ = level.posed(plays, 12, driven=driven)
     bones_of = in_bones(body, level, level.poses(plays, 12, driven=driven).world)[:, level.mesh.bones[:, 0]]
     at = np.concatenate([level.mesh.points + moved[:, :, :3], np.ones((*moved.shape[:2], 1))], axis=2)
@@ -352,8 +352,8 @@ def test_blend_shapes_are_drawn_as_a_body_of_that_shape(page: Stage) -> None:
         driven = Driven(
             {"puff": np.full(12, weight, np.float32), "tear": np.zeros(12, np.float32)}, draws=Draws(np.arange(10, 22))
         )
-        page.tell(frame(plays, more=told_traits(worn, plays, driven)))
-        return seen(page)
+        page.tell(frame(plays, extra_arrays=trait_arrays(worn, plays, driven)))
+        return take_screenshot(page)
 
     def differ(a: NDArray[np.int64], b: NDArray[np.int64]) -> int:
         covered = [(each[..., 0] > 90) & (each[..., 2] < 0.6 * each[..., 0]) for each in (a, b)]  # by bodies, not their shadows
@@ -378,8 +378,8 @@ def test_materials_have_the_colours_that_antdsl_draws_by_id(page: Stage) -> None
     def picture(body: Definition) -> NDArray[np.int64]:
         worn = Outfit(body, PLAYS, leans=True)
         page.tell(scene(camera=CAMERA), texts(), status(), rig_packet("ant", worn, ("main", "arms")))
-        page.tell(frame(plays, more=told_traits(worn, plays, Driven(draws=draws))))
-        return seen(page)
+        page.tell(frame(plays, extra_arrays=trait_arrays(worn, plays, Driven(draws=draws))))
+        return take_screenshot(page)
 
     page.tell(scene(camera=CAMERA), texts(), status())
     several = picture(varied)
@@ -387,9 +387,9 @@ def test_materials_have_the_colours_that_antdsl_draws_by_id(page: Stage) -> None
     colours = level.colours(Driven(draws=draws))[:, 0]
     alike, masks = np.zeros(several.shape[:2], bool), 0
     for row in range(12):
-        shown = picture(replace(varied, materials={"slate": tuple(map(float, colours[row]))}, variation=Variation()))
-        same = np.abs(shown - several).max(axis=2) < 6
-        moved = np.abs(shown - several).max(axis=2) >= 6
+        uniform_picture = picture(replace(varied, materials={"slate": tuple(map(float, colours[row]))}, variation=Variation()))
+        same = np.abs(uniform_picture - several).max(axis=2) < 6
+        moved = np.abs(uniform_picture - several).max(axis=2) >= 6
         masks += int(moved.any())
         alike |= same
     assert masks == 12, "they have different colours"
@@ -401,10 +401,12 @@ def test_between_two_frames_clips_go_on_and_blend(page: Stage) -> None:
     body = crane()
     still = [np.zeros(3, np.float32), np.ones(3, np.float32)]
 
-    def at(clip: int, before: int, turn: float, fade: float) -> tuple[MachineClips, MachineClips]:
+    def at(clip: int, previous_clip: int, turn: float, fade: float) -> tuple[MachineClips, MachineClips]:
         turns, fades = np.full(3, turn, np.float32), np.full(3, fade, np.float32)
         last = np.full(3, 0.95, np.float32)
-        one = MachineClips(np.full(3, clip, np.int16), turns, still[1], np.full(3, before, np.int16), last, still[1], fades)
+        one = MachineClips(
+            np.full(3, clip, np.int16), turns, still[1], np.full(3, previous_clip, np.int16), last, still[1], fades
+        )
         none = MachineClips(np.full(3, -1, np.int16), still[0], still[0], np.full(3, -1, np.int16), still[0], still[0], still[0])
         return one, none
 
@@ -412,13 +414,13 @@ def test_between_two_frames_clips_go_on_and_blend(page: Stage) -> None:
     page.page.wait_for_timeout(500)
     level = PosedBody(body, PLAYS)
     first = bones(page, 10)
-    assert np.abs(first - wanted(body, at(0, -1, 0.9, 0.0), level)[0]).max() < 1e-3
+    assert np.abs(first - expected_bones(body, at(0, -1, 0.9, 0.0), level)[0]).max() < 1e-3
     page.tell(frame(at(2, 0, 0.05, 0.5), 21))
     page.page.wait_for_timeout(800)
-    assert np.abs(bones(page, 10) - wanted(body, at(2, 0, 0.05, 0.5), level)[0]).max() < 1e-3
+    assert np.abs(bones(page, 10) - expected_bones(body, at(2, 0, 0.05, 0.5), level)[0]).max() < 1e-3
 
 
-def seen(page: Stage) -> NDArray[np.int64]:
+def take_screenshot(page: Stage) -> NDArray[np.int64]:
     page.page.wait_for_timeout(400)
     picture = page.page.locator("#view > canvas").screenshot()
     return np.asarray(Image.open(io.BytesIO(picture)).convert("RGB")).astype(np.int64)
@@ -430,7 +432,7 @@ def test_a_body_that_is_another_one_is_drawn_at_once_and_takes_the_colours_of_st
     amber = np.array([255 * part for part in WALK])
 
     def coloured() -> int:
-        picture = seen(page)
+        picture = take_screenshot(page)
         unit = picture / np.maximum(np.linalg.norm(picture, axis=2, keepdims=True), 1)
         bright = picture.max(axis=2) > 60
         return int((bright & (unit @ (amber / np.linalg.norm(amber)) > 0.99)).sum())

@@ -55,8 +55,8 @@ def new_enough() -> bool:
     if shutil.which("node") is None or shutil.which("npm") is None:
         return False
     said = subprocess.run(["node", "--version"], capture_output=True, text=True).stdout
-    found = re.match(r"v(\d+)\.(\d+)", said)
-    return found is not None and (int(found[1]), int(found[2])) >= (20, 19)
+    version_match = re.match(r"v(\d+)\.(\d+)", said)
+    return version_match is not None and (int(version_match[1]), int(version_match[2])) >= (20, 19)
 
 
 @pytest.mark.slow

@@ -25,8 +25,8 @@ NAMELESS = """() => [...document.querySelectorAll("button, input, select, [role=
 
 @pytest.fixture(scope="module")
 def browser() -> Iterator[Browser]:
-    with chromium() as found:
-        yield found
+    with chromium() as chromium_browser:
+        yield chromium_browser
 
 
 @pytest.fixture
@@ -63,10 +63,10 @@ def test_the_bar_says_where_it_is_and_plays(page: Stage) -> None:
     page.drawn()
     assert [each["op"] for each in page.asks if each["op"] in ("play", "pause")] == ["play", "pause"]
     page.find("speed").select_option("0")
-    assert page.asked("speed") == [{"op": "speed", "times": 0}]
+    assert page.requests_of("speed") == [{"op": "speed", "times": 0}]
 
 
-def test_play_and_pause_go_by_what_was_asked_while_a_step_takes_long(page: Stage) -> None:
+def test_play_and_pause_follow_the_latest_request_while_a_step_takes_long(page: Stage) -> None:
     page.find("play").click()
     assert "pause" in page.find("play").inner_text()  # nothing was told yet
     page.find("play").click()
@@ -82,31 +82,33 @@ def test_an_edited_run_says_so_and_can_be_simulated_again(page: Stage) -> None:
     assert page.find("edited").is_hidden()
     page.tell(status(edited=True))
     page.find("restart").click()
-    assert page.asked("restart") == [{"op": "restart"}]
+    assert page.requests_of("restart") == [{"op": "restart"}]
 
 
-def test_what_came_of_a_save_is_told_aloud(page: Stage) -> None:
+def test_the_outcome_of_a_save_is_announced(page: Stage) -> None:
     line = page.find("outcome")
 
-    def told() -> str:
-        found = re.fullmatch(r"\d\d:\d\d:\d\d, frame 20: (.*)", line.inner_text())
-        return found[1] if found else line.inner_text()
+    def announced_text() -> str:
+        line_match = re.fullmatch(r"\d\d:\d\d:\d\d, frame 20: (.*)", line.inner_text())
+        return line_match[1] if line_match else line.inner_text()
 
     page.page.clock.install(time=datetime(2024, 5, 1, 12, 0, 0))
     page.tell(outcome())
-    assert told() == "saved: ant.ant line 6 · kept 3 agents" and line.get_attribute("aria-live") == "polite"
+    assert announced_text() == "saved: ant.ant line 6 · kept 3 agents" and line.get_attribute("aria-live") == "polite"
     words, flashes = line.inner_text(), "line => line.getAnimations().map((each) => each.currentTime)"
     page.page.clock.run_for(5000)
     page.tell(outcome())
-    assert line.inner_text() != words and told() == "saved: ant.ant line 6 · kept 3 agents", "the same words, at another time"
+    assert line.inner_text() != words and announced_text() == "saved: ant.ant line 6 · kept 3 agents", (
+        "the same words, at another time"
+    )
     assert len(line.evaluate(flashes)) == 1, "it is seen that something was told"
     assert len((line.get_attribute("title") or "").splitlines()) == 2, "what was told before can still be read"
     page.tell(outcome(of="layer", did="layer `wander()` is off"))
-    assert told() == "layer `wander()` is off · kept 3 agents"
+    assert announced_text() == "layer `wander()` is off · kept 3 agents"
     page.tell(outcome(ok=False, line="", did="", problems=problems()["problems"]))
-    assert told() == "saved: no `pase` is known here — the last good program runs on"
+    assert announced_text() == "saved: no `pase` is known here — the last good program runs on"
     page.tell({"op": "refused", "of": "seek", "message": "there is no frame 9", "help": "one of 1 to 5"})
-    assert told() == "there is no frame 9 — one of 1 to 5"
+    assert announced_text() == "there is no frame 9 — one of 1 to 5"
 
 
 def test_keys_move_through_time_but_not_while_one_writes(page: Stage) -> None:
@@ -116,15 +118,15 @@ def test_keys_move_through_time_but_not_while_one_writes(page: Stage) -> None:
     page.page.locator("body").press("Home")
     page.drawn()
     assert [each["op"] for each in page.asks if each["op"] != "look"] == ["play", "pause", "seek", "seek", "seek"]
-    assert [each["frame"] for each in page.asked("seek")] == [21, 10, 1]
+    assert [each["frame"] for each in page.requests_of("seek")] == [21, 10, 1]
     page.tell(status(100))
     page.page.locator("body").press(".")
-    assert page.asked("step") == [{"op": "step", "count": 1}]
-    before = len(page.asks)
+    assert page.requests_of("step") == [{"op": "step", "count": 1}]
+    request_count = len(page.asks)
     page.find("side-tab-breaks").click()
     page.find("break-condition").press_sequentially(" a.b ")
     page.drawn()
-    assert len(page.asks) == before
+    assert len(page.asks) == request_count
 
 
 # --- the text --------------------------------------------------------------------------------------------------------
@@ -174,16 +176,16 @@ def test_a_slider_asks_while_it_is_dragged_and_tells_the_line_for_good(page: Sta
         }
     }""")
     page.page.wait_for_timeout(150)
-    asked = page.asked("set")
-    assert asked[-1] == {"op": "set", "name": "ant.pace", "value": "30 mm/s"}
-    assert 2 <= len(asked) <= 6  # ten a second at most, and the last one
+    requests = page.requests_of("set")
+    assert requests[-1] == {"op": "set", "name": "ant.pace", "value": "30 mm/s"}
+    assert 2 <= len(requests) <= 6  # ten a second at most, and the last one
     changed = [{**scene()["params"][0], "value": "30 mm/s", "number": 30}, scene()["params"][1]]
     page.tell(outcome(of="set", line="", text="set: {ant.pace: 30 mm/s}", file="walk.yaml"), scene(params=changed))
     assert page.find("line").inner_text() == "set: {ant.pace: 30 mm/s}"
     page.find("copy").click()
     assert page.page.evaluate("navigator.clipboard.readText()") == "set: {ant.pace: 30 mm/s}"
     page.page.get_by_label("ant.pace back to 10 mm/s").click()
-    assert page.asked("set")[-1]["value"] == "10 mm/s"
+    assert page.requests_of("set")[-1]["value"] == "10 mm/s"
     page.tell(scene())
     assert page.find("lines").is_hidden() and slider.input_value() == "10"
 
@@ -195,7 +197,7 @@ def test_a_param_without_a_range_says_which_one_is_offered(page: Stage) -> None:
     assert "no range" in page.page.locator('[data-param="ant.size"]').inner_text()
 
 
-def test_an_input_stays_the_same_one_when_the_scene_is_told_again(page: Stage) -> None:
+def test_an_input_keeps_its_element_when_the_scene_is_sent_again(page: Stage) -> None:
     page.find("side-tab-sliders").click()
     slider = page.find("param-ant.pace")
     slider.evaluate("element => { element.mine = true; element.focus(); }")
@@ -207,18 +209,18 @@ def test_layers_and_fields_go_off_and_on(page: Stage) -> None:
     page.find("side-tab-sliders").click()
     page.find("layers").locator("input").uncheck()
     page.find("fields").locator("input").uncheck()
-    assert page.asked("layer") == [{"op": "layer", "species": "ant", "layer": "wander()", "on": False}]
-    assert page.asked("field") == [{"op": "field", "name": "trail", "on": False}]
+    assert page.requests_of("layer") == [{"op": "layer", "species": "ant", "layer": "wander()", "on": False}]
+    assert page.requests_of("field") == [{"op": "field", "name": "trail", "on": False}]
 
 
-def test_what_is_looked_at_is_asked_for_once(page: Stage) -> None:
+def test_a_changed_look_is_requested_once(page: Stage) -> None:
     page.find("side-tab-view").click()
     page.find("colour").select_option("load")
     page.find("view-fields-trail").check()
     page.tell(scene())  # nothing else: no other look
-    last = page.asked("look")[-1]
+    last = page.requests_of("look")[-1]
     assert (last["columns"], last["fields"]) == ([{"species": "ant", "name": "load"}], ["trail"])
-    assert len(page.asked("look")) <= 3
+    assert len(page.requests_of("look")) <= 3
 
 
 # --- time ------------------------------------------------------------------------------------------------------------
@@ -231,21 +233,21 @@ def test_dragging_shows_what_is_remembered_and_letting_go_simulates(page: Stage)
     page.page.mouse.down()
     page.page.mouse.move(box["x"] + box["width"] - 8, box["y"] + 4, steps=10)
     page.page.wait_for_timeout(100)
-    dragged = page.asked("seek")
+    dragged = page.requests_of("seek")
     assert dragged and not any(each["exact"] for each in dragged)
     page.page.mouse.up()
-    assert page.asked("seek")[-1] == {"op": "seek", "frame": 100, "exact": True}
-    assert sum(each["exact"] for each in page.asked("seek")) == 1
+    assert page.requests_of("seek")[-1] == {"op": "seek", "frame": 100, "exact": True}
+    assert sum(each["exact"] for each in page.requests_of("seek")) == 1
 
 
 def test_the_slider_goes_by_keys(page: Stage) -> None:
     page.find("scrub").focus()
     page.find("scrub").press("ArrowLeft")
     page.find("scrub").press("Shift+ArrowRight")
-    assert [(each["frame"], each["exact"]) for each in page.asked("seek")] == [(19, True), (29, True)]
+    assert [(each["frame"], each["exact"]) for each in page.requests_of("seek")] == [(19, True), (29, True)]
 
 
-def test_curves_are_kept_forgotten_and_drawn(page: Stage) -> None:
+def test_curves_are_stored_dropped_and_drawn(page: Stage) -> None:
     page.tell(curves(list(range(1, 101)), [3.0] * 100))
     legend = page.find("legend")
     assert legend.inner_text().split() == ["walk", "3", "all", "is", "well", "holds"]
@@ -274,12 +276,12 @@ def test_states_count_and_select_their_agents(page: Stage) -> None:
     assert "4/s" in (page.find("chart").text_content() or "")
     page.find("state-rest").focus()
     page.page.keyboard.press("Enter")
-    assert page.asked("explain")[-1] == {"op": "explain", "species": "ant", "agent": 12, "frame": 68}
-    assert page.asked("look")[-1]["follow"] == {"species": "ant", "agent": 12}
-    assert not page.asked("play")  # the key pressed a state, nothing else
+    assert page.requests_of("explain")[-1] == {"op": "explain", "species": "ant", "agent": 12, "frame": 68}
+    assert page.requests_of("look")[-1]["follow"] == {"species": "ant", "agent": 12}
+    assert not page.requests_of("play")  # the key pressed a state, nothing else
 
 
-def test_breakpoints_are_set_told_and_taken_away(page: Stage) -> None:
+def test_breakpoints_are_set_listed_and_removed(page: Stage) -> None:
     page.find("side-tab-breaks").click()
     page.find("break-state").select_option("rest")
     page.find("break-state-form").locator("button").click()
@@ -290,7 +292,7 @@ def test_breakpoints_are_set_told_and_taken_away(page: Stage) -> None:
     page.find("break-condition").press("Enter")
     state = {"kind": "state", "species": "ant", "machine": "main", "state": "rest"}
     condition = {"kind": "condition", "text": "count(state == lost) > 1"}
-    assert [(each["breaks"], each["tried"]) for each in page.asked("breaks")] == [([], state), ([state], condition)]
+    assert [(each["breaks"], each["tried"]) for each in page.requests_of("breaks")] == [([], state), ([state], condition)]
     wrong = page.find("break-condition-form-wrong")
     page.tell({"op": "refused", "of": "breaks", "message": "no state is `lost`", "help": "one of walk, rest"})
     assert wrong.inner_text() == "no state is `lost`: one of walk, rest"
@@ -305,17 +307,17 @@ def test_breakpoints_are_set_told_and_taken_away(page: Stage) -> None:
     assert page.find("break-condition").input_value() == "", "it was added"
     assert page.find("break-misfit").all_inner_texts() == ["", f"does not fit this program: {unfit}"]
     page.find("breaks").locator("button").nth(1).click()
-    assert page.asked("breaks")[-1]["breaks"] == [state]
+    assert page.requests_of("breaks")[-1]["breaks"] == [state]
     page.tell(status(30, paused_by="ant 11 entered rest at frame 30", paused_agents={"species": "ant", "agents": [11]}))
     assert page.find("fired").inner_text() == "stopped: ant 11 entered rest at frame 30"
-    assert page.asked("explain")[-1] == {"op": "explain", "species": "ant", "agent": 11, "frame": 30}
+    assert page.requests_of("explain")[-1] == {"op": "explain", "species": "ant", "agent": 11, "frame": 30}
     page.tell({"op": "breaks", "breaks": []})  # another page took it away
     assert page.find("breaks").locator("li").count() == 0
 
 
-def test_costs_are_measured_when_they_are_asked_for(page: Stage) -> None:
+def test_costs_are_measured_on_request(page: Stage) -> None:
     page.find("side-tab-profile").click()
-    assert page.find("profile").is_hidden() and not page.asked("profile")
+    assert page.find("profile").is_hidden() and not page.requests_of("profile")
     page.find("profile-on").check()
     line = {"file": "ant.ant", "line": 6, "text": "when pase > 3 -> rest", "ms": 1.5}
     page.tell(
@@ -326,7 +328,7 @@ def test_costs_are_measured_when_they_are_asked_for(page: Stage) -> None:
     page.find("profile").get_by_text("when pase").click()
     assert "pase" in page.page.locator("#editor .pointed").inner_text()
     page.find("profile-on").uncheck()
-    assert [each["on"] for each in page.asked("profile")] == [True, False]
+    assert [each["on"] for each in page.requests_of("profile")] == [True, False]
     assert page.page.locator("#editor .cost").count() == 0
 
 
@@ -335,13 +337,13 @@ def test_costs_are_measured_when_they_are_asked_for(page: Stage) -> None:
 
 def test_names_are_text_whatever_they_are(browser: Browser) -> None:
     evil = '<img src=x onerror="document.title=1"><b>bold</b>'
-    told = scene(name=evil, specs=[evil])
-    told["species"][0]["machines"][0]["states"] = [evil, "rest"]
-    told["params"][0] |= {"name": evil, "help": evil}
-    told["charts"][0]["boxes"][0] |= {"name": evil, "label": evil}
+    scene_message = scene(name=evil, specs=[evil])
+    scene_message["species"][0]["machines"][0]["states"] = [evil, "rest"]
+    scene_message["params"][0] |= {"name": evil, "help": evil}
+    scene_message["charts"][0]["boxes"][0] |= {"name": evil, "label": evil}
     with stage(browser) as page:
         page.tell(
-            told,
+            scene_message,
             texts(evil),
             status(fault=evil, paused_by=evil),
             frame([0, 1]),
@@ -363,7 +365,7 @@ def test_tabs_go_by_keys(page: Stage) -> None:
     page.page.keyboard.press("End")
     assert page.find("panel-breaks").is_visible()
     assert page.page.locator('#side [role="tab"][tabindex="0"]').count() == 1
-    assert not page.asked("seek")
+    assert not page.requests_of("seek")
 
 
 def test_everything_that_can_be_pressed_has_a_name(page: Stage) -> None:

@@ -32,8 +32,8 @@ SIZES = """() => [...document.querySelectorAll("#text .tabs button, #bar .frame,
 
 @pytest.fixture(scope="module")
 def browser() -> Iterator[Browser]:
-    with chromium() as found:
-        yield found
+    with chromium() as chromium_browser:
+        yield chromium_browser
 
 
 @pytest.fixture
@@ -65,13 +65,13 @@ def explained(number: int) -> dict[str, Any]:
     nothing: dict[str, list[Any]] = {
         name: [] for name in ("notes", "machines", "handlers", "steers", "layers", "seen", "fields", "senses", "draws", "did")
     }
-    told = {
+    explanation = {
         "scene": "walk.yaml", "species": "ant", "agent": 10, "frame": number, "hash": "", "checkpoint": 1, "mode": "budget",
         "strip": [{"machine": "main", "state": "walk", "first": 1, "last": number}], "alive": [1, number], **nothing,
         "push": [0, 0, 0], "velocity": [[0, 0, 0], None], "acceleration": None, "changes": [],
     }  # fmt: skip
-    about = {"species": "ant", "agent": 10, "frame": number, "message": "", "place": [0, 0, 0], "neighbours": []}
-    return {"op": "explained", **about, "explanation": told, "told": "walks"}
+    agent_fields = {"species": "ant", "agent": 10, "frame": number, "message": "", "place": [0, 0, 0], "neighbours": []}
+    return {"op": "explained", **agent_fields, "explanation": explanation, "told": "walks"}
 
 
 @pytest.mark.slow
@@ -98,37 +98,37 @@ def test_a_field_has_one_scale_with_numbers(page: Stage) -> None:
     assert numbers.all_inner_texts() == ["0.001", "0.1", "1", "100"]
     mesh = pack("fieldmesh:trail", {"position": SQUARE, "face": FACES})
 
-    def shown(value: int) -> bytes:
+    def take_picture(value: int) -> bytes:
         page.tell(pack("field:trail", {"value": np.full(4, value, np.uint8)}, frame=20))
         page.page.wait_for_timeout(100)
         return page.page.locator("#view > canvas").screenshot()
 
     page.tell(mesh, frame([0, 1]))
-    faint, strong = shown(100), shown(180)
-    assert faint != strong and shown(100) == faint, "the same values are the same picture, whatever was shown before"
+    faint, strong = take_picture(100), take_picture(180)
+    assert faint != strong and take_picture(100) == faint, "the same values are the same picture, whatever was shown before"
     page.find("side-tab-view").click()
     page.find("full-trail").fill("1")
     page.find("full-trail").press("Enter")
     assert numbers.all_inner_texts() == ["0.00001", "0.001", "0.01", "1"]
-    assert shown(100) != faint
+    assert take_picture(100) != faint
     page.find("view-fields-trail").uncheck()
     assert page.find("scale-trail").count() == 0
 
 
-def test_what_is_told_of_another_frame_is_dimmed(page: Stage) -> None:
+def test_an_explanation_of_another_frame_is_dimmed(page: Stage) -> None:
     page.tell(scene(), texts(), status(20), frame([0, 1], 20))
     page.page.locator("#view > canvas").press("n")
     page.tell(explained(20))
-    about, body = page.find("why-about"), page.find("why")
-    assert about.inner_text() == "the step to frame 20" and body.evaluate("e => getComputedStyle(e).opacity") == "1"
+    caption, body = page.find("why-about"), page.find("why")
+    assert caption.inner_text() == "the step to frame 20" and body.evaluate("e => getComputedStyle(e).opacity") == "1"
     page.tell(status(30, playing=True, hash=None), frame([0, 1], 30))
-    assert "the step to frame 20, and now it is frame 30: pause it" in about.inner_text()
+    assert "the step to frame 20, and now it is frame 30: pause it" in caption.inner_text()
     assert body.evaluate("e => getComputedStyle(e).opacity") == "0.45"
     page.tell(status(31), explained(31))
-    assert about.inner_text() == "the step to frame 31" and body.evaluate("e => getComputedStyle(e).opacity") == "1"
+    assert caption.inner_text() == "the step to frame 31" and body.evaluate("e => getComputedStyle(e).opacity") == "1"
 
 
-def test_errors_at_the_start_are_gone_to_and_told_where_the_ants_would_be(page: Stage) -> None:
+def test_errors_at_the_start_are_scrolled_to_and_shown_in_the_empty_view(page: Stage) -> None:
     text = "\n" * 200 + TEXT
     page.tell(texts(text), problems(text), status(0, agents=0))
     assert "pase" in page.page.locator("#editor .pointed").inner_text()
@@ -148,11 +148,11 @@ def test_the_first_camera_is_the_same_however_the_page_came_to_its_size(page: St
         page.drawn()
         return [round(part, 3) for part in page.page.evaluate("() => window.antdsl.camera()")]
 
-    def opened(sizes: list[tuple[int, int]], told: dict[str, Any], *, late: bool) -> list[float]:
+    def opened(sizes: list[tuple[int, int]], scene_message: dict[str, Any], *, late: bool) -> list[float]:
         page.page.set_viewport_size({"width": sizes[0][0], "height": sizes[0][1]})
         page.page.reload()
         page.page.wait_for_function("document.getElementById('stale').hidden")
-        page.tell(told)
+        page.tell(scene_message)
         if late:
             page.page.wait_for_timeout(200)  # a picture is drawn before the agents are there
         page.tell(crowd(50, 1))
@@ -162,10 +162,10 @@ def test_the_first_camera_is_the_same_however_the_page_came_to_its_size(page: St
         return camera()
 
     far = {"low": [-40_000] * 3, "high": [40_000] * 3, "camera": {"at": [30, 9000, 9000], "look_at": [30, 0, 30], "focal": 35}}
-    for told in (scene(camera=CAMERA), scene(), scene(**far)):
-        whole = opened([(1280, 720)], told, late=False)
-        assert opened([(1280, 720)], told, late=True) == whole
-        assert opened([(700, 900), (1000, 500), (1280, 720)], told, late=False) == whole
+    for scene_message in (scene(camera=CAMERA), scene(), scene(**far)):
+        expected_camera = opened([(1280, 720)], scene_message, late=False)
+        assert opened([(1280, 720)], scene_message, late=True) == expected_camera
+        assert opened([(700, 900), (1000, 500), (1280, 720)], scene_message, late=False) == expected_camera
     page.page.locator("#view > canvas").press("ArrowLeft")
     turned = camera()
     page.page.set_viewport_size({"width": 1100, "height": 720})
@@ -194,7 +194,7 @@ def planned(number: int, ids: list[int], count: int = 20) -> bytes:
     return pack("paths", {"ant/id": np.array(ids, np.int32), "ant/path": path}, frame=number, count=count)
 
 
-def test_planned_paths_are_asked_for_drawn_and_shortened_as_time_goes_on(page: Stage) -> None:
+def test_planned_paths_are_requested_drawn_and_shortened_over_time(page: Stage) -> None:
     def drawn() -> np.ndarray:
         page.page.wait_for_timeout(300)
         picture = page.page.locator("#view > canvas").screenshot()
@@ -205,26 +205,26 @@ def test_planned_paths_are_asked_for_drawn_and_shortened_as_time_goes_on(page: S
 
     page.tell(scene(camera=CAMERA), texts(), status(), crowd(3, 20, 1.0))
     canvas, note = page.page.locator("#view > canvas"), page.find("paths-note")
-    assert "planned" not in page.asked("look")[-1] and note.is_hidden()
+    assert "planned" not in page.requests_of("look")[-1] and note.is_hidden()
     canvas.press("n")
-    before = drawn()
+    plain_picture = drawn()
     canvas.press("a")
-    assert page.asked("look")[-1]["planned"] == [{"species": "ant", "agent": 10}]
+    assert page.requests_of("look")[-1]["planned"] == [{"species": "ant", "agent": 10}]
     assert note.inner_text() == "planned paths: being simulated"
     page.tell(planned(20, [10]))
     assert note.is_hidden()
-    whole = differing(before, drawn())
-    assert whole > 60, "a dashed line over the ground"
+    full_difference = differing(plain_picture, drawn())
+    assert full_difference > 60, "a dashed line over the ground"
     page.tell(planned(2, [10]))
-    assert differing(before, drawn()) < 0.5 * whole, "what lies behind is left out"
+    assert differing(plain_picture, drawn()) < 0.5 * full_difference, "what lies behind is left out"
     page.tell(planned(20, [11]))
     assert note.is_visible(), "not of who is not selected"
     canvas.press("Escape")
-    assert page.asked("look")[-1]["planned"] == []
+    assert page.requests_of("look")[-1]["planned"] == []
     page.tell(crowd(400, 20))
     assert note.inner_text() == "no planned paths: 400 are too many at once — select those whose paths you want to see"
     canvas.press("a")
-    assert "planned" not in page.asked("look")[-1] and note.is_hidden()
+    assert "planned" not in page.requests_of("look")[-1] and note.is_hidden()
 
 
 def test_marks_and_the_end_of_the_scene_are_those_of_the_run(page: Stage) -> None:
@@ -252,13 +252,13 @@ def test_marks_and_the_end_of_the_scene_are_those_of_the_run(page: Stage) -> Non
 def test_sizes_go_by_the_letters_of_the_browser(page: Stage) -> None:
     page.tell(scene(), texts(), status(), frame([0, 1]), problems())
     page.find("side-tab-machine").click()
-    before = page.page.evaluate(SIZES)
+    initial_sizes = page.page.evaluate(SIZES)
     row = page.find("side-tab-why").bounding_box()
     code = page.page.locator("#editor .cm-content").evaluate("e => parseFloat(getComputedStyle(e).fontSize)")
     session = page.page.context.new_cdp_session(page.page)
     session.send("Page.setFontSizes", {"fontSizes": {"standard": 24, "fixed": 20}})
     page.drawn()
-    assert page.page.evaluate(SIZES) == pytest.approx([1.5 * size for size in before], rel=0.02)
+    assert page.page.evaluate(SIZES) == pytest.approx([1.5 * size for size in initial_sizes], rel=0.02)
     larger = page.find("side-tab-why").bounding_box()
     assert row is not None and larger is not None and larger["height"] > 1.4 * row["height"]
     now = page.page.locator("#editor .cm-content").evaluate("e => parseFloat(getComputedStyle(e).fontSize)")

@@ -14,7 +14,7 @@ from antdsl.preview import Live, Session
 from antdsl.preview import ahead as ahead_module
 from antdsl.preview.ahead import Ahead
 from antdsl.preview.binary_packets import unpack
-from antdsl.preview.requests import EVERYBODY, Look
+from antdsl.preview.requests import MAX_PLANNED_AGENTS, Look
 from antdsl.runtime import World
 from antdsl.runtime.faults import Fault, LimitStop
 
@@ -45,7 +45,7 @@ def filled(ahead: Ahead, session: Session) -> Ahead:
     return ahead
 
 
-def places(session: Session) -> np.ndarray:
+def positions_by_id(session: Session) -> np.ndarray:
     population = session.world.populations["forager"]
     return population.position[population.in_id_order()].astype(np.float32)
 
@@ -53,54 +53,56 @@ def places(session: Session) -> np.ndarray:
 def test_paths_are_where_the_agents_will_be_and_the_session_is_as_it_was(session: Session) -> None:
     for _ in range(3):
         session.step()
-    before, kept = session.hash, dict(session.timeline.curves)
+    initial_hash, initial_curves = session.hash, dict(session.timeline.curves)
     ahead = filled(Ahead(), session)
     assert list(ahead.frames) == list(range(4, 4 + 48 + 1)), "2 seconds at 24 frames"
-    assert session.hash == before and session.timeline.curves == kept and session.frame == 4
+    assert session.hash == initial_hash and session.timeline.curves == initial_curves and session.frame == 4
     for frame in range(4, 20):
-        assert ahead.frames[frame]["forager"].position.tobytes() == places(session).tobytes()
+        assert ahead.frames[frame]["forager"].position.tobytes() == positions_by_id(session).tobytes()
         session.step()
-    bent = ahead.frames[12]["forager"].position - ahead.frames[4]["forager"].position
+    displacement = ahead.frames[12]["forager"].position - ahead.frames[4]["forager"].position
     straight = (ahead.frames[5]["forager"].position - ahead.frames[4]["forager"].position) * 8
-    assert np.abs(bent - straight).max() > 2, "no straight extrapolation"
+    assert np.abs(displacement - straight).max() > 2, "no straight extrapolation"
 
 
 def test_who_goes_on_simulates_only_what_is_new(session: Session, monkeypatch: pytest.MonkeyPatch) -> None:
     ahead = filled(Ahead(), session)
-    made = []
-    monkeypatch.setattr(ahead_module, "step", lambda world, step=ahead_module.step: (made.append(world.frame), step(world)))
+    simulated_frames = []
+    monkeypatch.setattr(
+        ahead_module, "step", lambda world, step=ahead_module.step: (simulated_frames.append(world.frame), step(world))
+    )
     for _ in range(5):
         session.step()
     filled(ahead, session)
-    assert made == [49, 50, 51, 52, 53] and list(ahead.frames) == list(range(6, 55))
+    assert simulated_frames == [49, 50, 51, 52, 53] and list(ahead.frames) == list(range(6, 55))
     session.seek(2)
     filled(ahead, session)
-    assert made[5:] == list(range(2, 50)), "gone back to what is not kept any more"
+    assert simulated_frames[5:] == list(range(2, 50)), "gone back to what is not kept any more"
 
 
 def test_an_edit_makes_other_paths(session: Session) -> None:
     for _ in range(6):
         session.step()
     ahead = filled(Ahead(), session)
-    before = ahead.frames[40]["forager"].position
+    initial_positions = ahead.frames[40]["forager"].position
     assert session.set("forager.smell", "200 mm").ok
     assert ahead.lacks(session) and not ahead.frames
     filled(ahead, session)
-    assert not np.array_equal(ahead.frames[40]["forager"].position, before)
+    assert not np.array_equal(ahead.frames[40]["forager"].position, initial_positions)
     for _ in range(3):
         session.step()
     assert session.layer("forager", "give_way(radius: 2.2 * size)", on=False).ok
-    there, later = session.frame, filled(ahead, session).frames[session.frame + 12]["forager"].position
-    session.seek(there - 5)
+    edit_frame, later = session.frame, filled(ahead, session).frames[session.frame + 12]["forager"].position
+    session.seek(edit_frame - 5)
     filled(ahead, session)
-    assert max(ahead.frames) == there, "history was otherwise from the edit on: paths end there"
-    session.seek(there)
+    assert max(ahead.frames) == edit_frame, "history was otherwise from the edit on: paths end there"
+    session.seek(edit_frame)
     for _ in range(12):
         session.step()
-    assert later.tobytes() == places(session).tobytes()
+    assert later.tobytes() == positions_by_id(session).tobytes()
 
 
-def test_there_is_a_bound_to_what_is_kept(session: Session, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_stored_paths_are_bounded(session: Session, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(ahead_module, "_BYTES", 12 * 40 * 7)
     assert len(filled(Ahead(), session).frames) == 7 + 1
 
@@ -112,7 +114,7 @@ def paths(page: Page) -> tuple[dict, dict]:
 def test_a_page_is_shown_the_paths_it_asks_for(live: Live, scene: Path) -> None:
     expected = hashes(scene, 12)
     page = Page(live)
-    page.shown(1)
+    page.frame_arrays(1)
     assert "paths" not in page.packets
     page.ask(
         "look", columns=(), fields=(), flows=(), planned=({"species": "forager", "agent": 3}, {"species": "forager", "agent": 77})
@@ -150,25 +152,25 @@ def test_of_too_many_at_once_nothing_is_simulated(live: Live, monkeypatch: pytes
     from antdsl.preview.viewing import paths as viewing
     from antdsl.preview.viewing import screen
 
-    monkeypatch.setattr(viewing, "EVERYBODY", 39)
-    monkeypatch.setattr(screen, "EVERYBODY", 39)
+    monkeypatch.setattr(viewing, "MAX_PLANNED_AGENTS", 39)
+    monkeypatch.setattr(screen, "MAX_PLANNED_AGENTS", 39)
     page = Page(live)
     page.ask("look", columns=(), fields=(), flows=(), planned=())
     page.ask("step", count=2)
-    page.shown(3)
+    page.frame_arrays(3)
     assert paths(page)[0]["count"] == 0 and not live.ahead.frames
 
 
 def test_the_page_has_the_same_bounds() -> None:
     protocol = (Path(ahead_module.__file__).parent / "web" / "src" / "protocol.ts").read_text()
-    assert f"MOST_PLANNED = {{ chosen: 60, all: {EVERYBODY} }}" in protocol
+    assert f"MOST_PLANNED = {{ chosen: 60, all: {MAX_PLANNED_AGENTS} }}" in protocol
     assert Look.model_fields["planned"].metadata[0].max_length >= 60
 
 
 def test_asks_are_heard_between_two_frames(live: Live, monkeypatch: pytest.MonkeyPatch) -> None:
     waiting = []
     page = Page(live)
-    page.shown(1)
+    page.frame_arrays(1)
 
     def slowly(world: World, step: Callable[[World], None] = ahead_module.step) -> None:
         if len(waiting) < 5:

@@ -93,13 +93,13 @@ class Driver:
         self.breaks.set(self.session, breaks)
 
     def step(self) -> Stop | None:
-        found = None
+        stop = None
         for each in (self.specs, self.breaks):
             each.stepping(self.session)
         self.session.step()
         for each in (self.specs, self.breaks):
-            found = each.stepped(self.session) or found
-        return found
+            stop = each.stepped(self.session) or stop
+        return stop
 
     def play(self, frames: int) -> dict[int, Stop]:
         stops = {}
@@ -130,8 +130,8 @@ def test_it_stops_where_agents_enter_a_state(scene: Path) -> None:
     stops = driver.play(40)
     light = driver.session.timeline.light
     for frame in range(2, 42):  # in these frames and no others, as the frames themselves have it
-        before, now = (light[each]["walker"].states["main"] for each in (frame - 1, frame))
-        assert (frame in stops) == bool(((now == 1) & (before == 0)).any()), frame
+        previous_states, now = (light[each]["walker"].states["main"] for each in (frame - 1, frame))
+        assert (frame in stops) == bool(((now == 1) & (previous_states == 0)).any()), frame
     first = min(stops)
     assert stops[first] == Stop(f"walker 0, 1, 2 entered rest at frame {first}", "walker", (0, 1, 2))
     assert len(stops) == 2
@@ -148,14 +148,14 @@ def test_it_stops_where_a_condition_comes_true_and_not_where_it_stays_so(scene: 
     ]
 
 
-def test_a_condition_may_be_asked_of_each_agent(scene: Path) -> None:
+def test_a_condition_may_be_checked_for_each_agent(scene: Path) -> None:
     driver = Driver(scene, condition("each walker: load > 1"))
     [(frame, stop)] = driver.play(40).items()
     assert stop == Stop(f"walker 0, 1, 2: load > 1 at frame {frame}", "walker", (0, 1, 2))
     assert driver.session.world.populations["walker"].now["load"].min() == 2
 
 
-def test_what_is_met_together_is_told_together(scene: Path) -> None:
+def test_simultaneous_stops_are_reported_together(scene: Path) -> None:
     driver = Driver(scene, condition("count(state == rest) > 1"), state("rest"))
     stop = next(iter(driver.play(12).values()))
     assert stop.line.count(" · ") == 1
@@ -179,10 +179,10 @@ def test_what_is_met_together_is_told_together(scene: Path) -> None:
 def test_a_condition_that_is_none_is_refused_in_words(scene: Path, text: str, message: str, help: str) -> None:
     session, _ = Session.open(scene)
     assert session is not None
-    with pytest.raises(Misfit) as found:
+    with pytest.raises(Misfit) as error_info:
         condition_plan(session.shot, text)
-    assert message in found.value.message
-    assert found.value.help.startswith(help)
+    assert message in error_info.value.message
+    assert error_info.value.help.startswith(help)
 
 
 @pytest.mark.parametrize(
@@ -196,15 +196,15 @@ def test_a_condition_that_is_none_is_refused_in_words(scene: Path, text: str, me
         (spec("brisker"), "`brisker` is not judged here: it sets `walker.brisk`", "`antdsl test`"),
     ],
 )
-def test_a_breakpoint_that_does_not_fit_is_told(scene: Path, ask: Break, message: str, help: str) -> None:
+def test_a_breakpoint_that_does_not_fit_is_reported(scene: Path, ask: Break, message: str, help: str) -> None:
     driver = Driver(scene, ask)
-    [(words, told)] = driver.misfits
+    [(words, help_text)] = driver.misfits
     assert words.partition(": ")[2].startswith(message)
-    assert told.startswith(help)
+    assert help_text.startswith(help)
     assert driver.play(10) == {}
-    [shown] = driver.breaks.message()["breaks"]
-    assert shown["made"] == ask.model_dump()
-    assert shown["why"].startswith(message)
+    [entry] = driver.breaks.message()["breaks"]
+    assert entry["made"] == ask.model_dump()
+    assert entry["why"].startswith(message)
 
 
 def test_a_breakpoint_fits_again_when_the_program_does(scene: Path) -> None:
@@ -296,9 +296,9 @@ def test_looking_on_changes_nothing(name: str, tmp_path: Path) -> None:
     species = next(iter(plain.shot.plan.species))
     machine = plain.shot.plan.species[species].machines[0]
     breaks = [StateBreak(kind="state", species=species, machine=machine.name, state=each) for each in machine.states]
-    asked = [condition(f"count({species}) > 10"), condition(f"each {species}: speed > 5 mm/s and overlap > 1 %")]
+    conditions = [condition(f"count({species}) > 10"), condition(f"each {species}: speed > 5 mm/s and overlap > 1 %")]
     specs = [spec(each.name) for each in plain.shot.program.specs if each.against is None and not each.changes]
-    driver = Driver(scene, *breaks, *asked, *specs, FaultBreak(kind="fault"), every=6)
+    driver = Driver(scene, *breaks, *conditions, *specs, FaultBreak(kind="fault"), every=6)
     assert driver.misfits == []
     explainer = Explainer(driver.session)
     driver.session.measure(True)
@@ -316,11 +316,11 @@ def test_looking_on_changes_nothing(name: str, tmp_path: Path) -> None:
 
 def test_a_breakpoint_that_is_wrong_is_not_added(scene: Path) -> None:
     driver = Driver(scene, state("rest"), condition("count(state == rest) > 1"))
-    before = driver.breaks.message()
+    initial_message = driver.breaks.message()
     wrong = ConditionBreak(kind="condition", text="count(state == rset) > 1")
     with pytest.raises(Misfit, match="rset"):
         driver.breaks.set(driver.session, [each.ask for each in driver.breaks.breaks], wrong)
-    assert driver.breaks.message() == before
+    assert driver.breaks.message() == initial_message
     good = ConditionBreak(kind="condition", text="count(state == rest) > 2")
     driver.breaks.set(driver.session, [each.ask for each in driver.breaks.breaks], good)
     assert [each.ask for each in driver.breaks.breaks][-1] == good
@@ -342,9 +342,9 @@ def test_play_stops_at_the_scenes_last_frame_and_is_marked_for_all(scene: Path) 
         page.ask("speed", times=0)
         page.ask("play")
         assert page.until(lambda: page.last("scene"))["last"] == 9
-        told = page.status(playing=False, frame=9)
-        assert told["paused_by"] == "frame 9 is the scene's last: play goes on behind it"
-        marks = [{"frame": 9, "line": told["paused_by"]}]
+        status = page.status(playing=False, frame=9)
+        assert status["paused_by"] == "frame 9 is the scene's last: play goes on behind it"
+        marks = [{"frame": 9, "line": status["paused_by"]}]
         page.until(lambda: page.last("stops")["stops"] == marks)
         other = Page(live)
         assert other.until(lambda: other.last("stops"))["stops"] == marks
@@ -352,7 +352,7 @@ def test_play_stops_at_the_scenes_last_frame_and_is_marked_for_all(scene: Path) 
         page.until(lambda: page.last("status")["frame"] > 12)
         page.ask("pause")
         page.ask("seek", frame=5, exact=True)
-        page.done("set", name="walker.brisk", value="0.5")
+        page.ask_and_wait("set", name="walker.brisk", value="0.5")
         page.until(lambda: page.last("stops")["stops"] == [])
     finally:
         live.stop()
@@ -370,8 +370,8 @@ def test_a_page_sets_breakpoints_and_hears_of_them(scene: Path) -> None:
         }  # fmt: skip
         assert refused["message"].startswith("count(walkr) > 1: ")
         other = Page(live)
-        told = other.until(lambda: other.last("breaks"))["breaks"]
-        assert [each["why"].startswith("no `walkr`") for each in told] == [False, True]
+        entries = other.until(lambda: other.last("breaks"))["breaks"]
+        assert [each["why"].startswith("no `walkr`") for each in entries] == [False, True]
         page.ask("speed", times=0)
         page.ask("play")
         status = page.status(playing=False, paused_agents={"species": "walker", "agents": [0, 1, 2]})
@@ -406,11 +406,11 @@ def test_specs_stand_as_the_tests_find_them(scene: Path) -> None:
     runs, report = cases([scene])
     assert [each.code for each in report.errors] == ["no-such-file"]  # the other scene of one of them
     run_cases(runs, Work(Options()))
-    found = {case.name: case.failures[0].frame if case.failures else None for run in runs for case in run.cases}
+    failure_frames = {case.name: case.failures[0].frame if case.failures else None for run in runs for case in run.cases}
     driver = Driver(scene)
     driver.play(59)  # the whole scene
     stand = {each["name"]: each["frame"] for each in driver.specs.message()["specs"] if each["holds"] is not None}
-    assert stand == {name: found[name] for name in ("nobody rests", "they are three", "soon")}
+    assert stand == {name: failure_frames[name] for name in ("nobody rests", "they are three", "soon")}
     assert stand["soon"] is not None and stand["they are three"] is None
 
 
@@ -421,7 +421,7 @@ def test_steps_on_end_stop_as_well(scene: Path) -> None:
         page = Page(live)
         page.ask("breaks", breaks=(condition("count(state == rest) > 1").model_dump(),))
         page.ask("step", count=30)
-        status = page.until(lambda: (found := page.last("status")) and found["paused_by"] and found)
+        status = page.until(lambda: (message := page.last("status")) and message["paused_by"] and message)
         assert status["paused_by"].startswith(f"count(state == rest) > 1: true at frame {status['frame']}")
         assert status["frame"] < 15
         page.ask("step", count=2)
@@ -437,8 +437,8 @@ def test_behind_a_fault_it_is_explained_as_it_went_on(scene: Path, on_fault: Any
     driver = Driver(scene, every=50, options=Options(on_fault=on_fault))
     driver.play(30)
     assert driver.session.world.faults.count > 0
-    told = Explainer(driver.session).message("walker", 1, driver.session.frame)
+    message = Explainer(driver.session).message("walker", 1, driver.session.frame)
     if on_fault == "stop":
-        assert (told["message"], told["explanation"]["hash"]) == ("", driver.session.hash)
+        assert (message["message"], message["explanation"]["hash"]) == ("", driver.session.hash)
     else:
-        assert told["message"].startswith("walker 1 was set aside after a fault")
+        assert message["message"].startswith("walker 1 was set aside after a fault")

@@ -28,8 +28,8 @@ FRESH = "() => document.getElementById('stale').hidden && window.antdsl && windo
 
 @pytest.fixture(scope="module")
 def browser() -> Iterator[Browser]:
-    with chromium() as found:
-        yield found
+    with chromium() as chromium_browser:
+        yield chromium_browser
 
 
 @pytest.fixture
@@ -53,8 +53,8 @@ def test_a_page_of_another_build_loads_itself_again_and_only_once(page: Page, tm
           if (ALWAYS || loads === 1) meta.content = '0000000000000000';
         });""".replace("ALWAYS", str(always).lower())
     )
-    with previewed(copied("minimal", tmp_path) / "scene.yaml") as whole:
-        page.goto(whole)
+    with previewed(copied("minimal", tmp_path) / "scene.yaml") as full_address:
+        page.goto(full_address)
         page.wait_for_function("() => sessionStorage.getItem('loads') === '2'", timeout=60_000)
         page.wait_for_function(FRESH, timeout=60_000)  # it still has its token
         page.wait_for_timeout(1000)
@@ -78,14 +78,14 @@ def test_a_page_comes_back_to_a_server_that_is_started_again_on_its_port(
           send(words) { window.sent.push(words); super.send(words); }
         };"""
     )
-    with previewed(scene, "--port", port) as whole:  # the last `--port` counts
-        page.goto(whole)
+    with previewed(scene, "--port", port) as full_address:  # the last `--port` counts
+        page.goto(full_address)
         page.wait_for_function(FRESH, timeout=60_000)
         page.evaluate("() => (window.mine = true)")
     said = page.wait_for_function(STALE, timeout=60_000).json_value()
     assert "does not answer" in said
     with previewed(scene, "--port", port) as again:
-        assert again.split("#")[0] == whole.split("#")[0] and again != whole, "the token is another one"
+        assert again.split("#")[0] == full_address.split("#")[0] and again != full_address, "the token is another one"
         page.wait_for_function(FRESH, timeout=60_000)
         assert page.evaluate("() => window.mine"), "it was not loaded again"
         [place] = set(folder.iterdir()) - known
@@ -110,8 +110,8 @@ def test_a_connection_that_breaks_is_made_again(page: Page, tmp_path: Path) -> N
         """window.sockets = [];
         window.WebSocket = class extends WebSocket { constructor(...all) { super(...all); window.sockets.push(this); } };"""
     )
-    with previewed(copied("minimal", tmp_path) / "scene.yaml") as whole:
-        page.goto(whole)
+    with previewed(copied("minimal", tmp_path) / "scene.yaml") as full_address:
+        page.goto(full_address)
         page.wait_for_function(FRESH, timeout=60_000)
         page.evaluate("() => window.sockets[0].send('x'.repeat(70000))")  # more than is read: the server hangs up
         page.wait_for_function("() => window.sockets.length === 2 && window.sockets[1].readyState === 1", timeout=60_000)

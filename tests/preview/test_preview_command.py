@@ -99,9 +99,9 @@ def is_frame(message: dict[str, Any]) -> bool:
 
 
 def example(folder: Path) -> Path:
-    made = folder / "minimal"
-    shutil.copytree(ROOT / "examples" / "minimal", made)
-    return made
+    example_folder = folder / "minimal"
+    shutil.copytree(ROOT / "examples" / "minimal", example_folder)
+    return example_folder
 
 
 def files(folder: Path) -> dict[str, bytes]:
@@ -134,8 +134,8 @@ def test_a_scene_is_watched_edited_and_left(tmp_path: Path) -> None:
             (folder / "walker.ant").write_text(WALKER.replace("30 mm/s", "60 mm/s"), encoding="utf-8")
             assert (await hear(page, lambda m: m["op"] == "outcome"))["of"] == "saved"
             (folder / "walker.ant").write_text(WALKER.replace("wander()", "wonder()"), encoding="utf-8")
-            told = await hear(page, lambda m: m["op"] == "problems" and bool(m["problems"]))
-            assert "wonder" in told["problems"][0]["message"]
+            message = await hear(page, lambda m: m["op"] == "problems" and bool(m["problems"]))
+            assert "wonder" in message["problems"][0]["message"]
             later = [(await hear(page, is_frame))["frame"] for _ in range(3)]
             assert later[0] > frames[-1] and later == sorted(later)  # the last good program runs on
             (folder / "walker.ant").write_text(WALKER, encoding="utf-8")
@@ -144,12 +144,12 @@ def test_a_scene_is_watched_edited_and_left(tmp_path: Path) -> None:
             assert (await hear(page, lambda m: is_frame(m) and m["frame"] <= 4))["frame"] == 4
             await page.send('{"op": "seek", "frame": 9007199254740992, "exact": true}')
             assert (await hear(page, lambda m: is_frame(m) and m["frame"] > 4))["frame"] < 10_000  # the last that there is
-            before = files(folder)
+            initial_files = files(folder)
             await page.send('{"op": "restart"}')
             assert (await hear(page, lambda m: m["op"] == "outcome"))["ok"]
             assert await ended(preview.process) == (0, "")
             assert page.close_code is None or page.close_code in (1001, 1006)
-        assert files(folder) == before == files(ROOT / "examples" / "minimal")
+        assert files(folder) == initial_files == files(ROOT / "examples" / "minimal")
 
     go(test)
 
@@ -161,8 +161,8 @@ def test_mistakes_at_the_start_are_shown_and_the_ants_come_once_they_are_mended(
     async def test() -> None:
         async with started("scene.yaml", folder=folder) as preview, preview.connect() as page:
             assert "has mistakes" in preview.words
-            told = await hear(page, lambda m: m["op"] == "problems")
-            assert "wonder" in told["problems"][0]["message"]
+            message = await hear(page, lambda m: m["op"] == "problems")
+            assert "wonder" in message["problems"][0]["message"]
             await page.send('{"op": "play"}')
             assert (await hear(page, lambda m: m["op"] == "refused"))["help"]
             (folder / "walker.ant").write_text(WALKER, encoding="utf-8")
@@ -242,16 +242,16 @@ def test_the_browser_is_started_with_an_address_that_is_good_once(tmp_path: Path
         (["scene.yaml", "--set", "walker.pace=3 mm/s"], 1, "no program has a param `walker.pace`"),
     ],
 )
-def test_wrong_use_is_told(words: list[str], code: int, said: str, tmp_path: Path) -> None:
+def test_wrong_use_is_reported(words: list[str], code: int, said: str, tmp_path: Path) -> None:
     from typer.testing import CliRunner
 
     from antdsl.cli import app
     from antdsl.cli.exits import Stop
 
     words[0] = str(ROOT / "examples" / "minimal" / words[0])
-    done = CliRunner().invoke(app, ["preview", *words, "--no-open"])
-    if isinstance(done.exception, Stop):
-        assert done.exception.code == code
-        assert said in f"{done.exception.message}{done.exception.hint}{done.output}"
+    result = CliRunner().invoke(app, ["preview", *words, "--no-open"])
+    if isinstance(result.exception, Stop):
+        assert result.exception.code == code
+        assert said in f"{result.exception.message}{result.exception.hint}{result.output}"
     else:
-        assert done.exit_code == code and said in done.output
+        assert result.exit_code == code and said in result.output

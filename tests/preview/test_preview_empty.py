@@ -43,17 +43,17 @@ def test_a_page_is_shown_frames_without_agents(tmp_path: Path, case: str) -> Non
         page.ask("breaks", breaks=BREAKS)
         for frame in range(FIRST, LAST + 1):
             page.ask("seek", frame=frame, exact=True) if frame == FIRST else page.ask("step", count=1)
-            arrays = page.shown(frame)
+            arrays = page.frame_arrays(frame)
             for species in ("person", "ant"):
                 count = len(arrays[f"{species}/id"])
                 assert len(arrays[f"{species}/position"].reshape(-1, 3)) == count
             page.ask("explain", species="person", agent=0, frame=frame)
         last = page.hash_at(LAST)
         page.ask("seek", frame=FIRST + 4, exact=True)
-        page.shown(FIRST + 4)
-        assert page.done("set", name="person.life", value="0.2 s")["ok"]
-        assert page.done("restart")["ok"]
-        assert not [told for told in page.told if told["op"] == "refused" and "bug" in str(told)]
+        page.frame_arrays(FIRST + 4)
+        assert page.ask_and_wait("set", name="person.life", value="0.2 s")["ok"]
+        assert page.ask_and_wait("restart")["ok"]
+        assert not [message for message in page.told if message["op"] == "refused" and "bug" in str(message)]
         assert last == hashes(scene, LAST)[LAST]
     finally:
         live.stop()
@@ -65,7 +65,7 @@ def test_a_program_is_reloaded_from_and_into_nothing(tmp_path: Path, case: str) 
     session, report = Session.open(scene, every=2)
     assert session is not None, [each.message for each in report.errors]
     program = scene.with_name("crowd.ant")
-    found = {}
+    known_hashes = {}
     for number in range(8):
         session.step()
         if number % 2:
@@ -73,8 +73,8 @@ def test_a_program_is_reloaded_from_and_into_nothing(tmp_path: Path, case: str) 
             new = text.replace("load = 0\n", f"load = 0\n  more_{number} = {number}\n")
             program.write_text(new.replace("max_speed 3 m/s", f"max_speed {3 + number} m/s"))
             assert session.reload().ok
-        found[session.frame] = session.hash
+        known_hashes[session.frame] = session.hash
     for frame in (FIRST + 2, FIRST + 7, FIRST + 4):
         session.seek(frame)
-        assert session.hash == found[frame]
+        assert session.hash == known_hashes[frame]
     assert all(np.isfinite(p.position).all() for p in session.world.populations.values())

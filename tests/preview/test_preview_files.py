@@ -28,7 +28,7 @@ def folder(tmp_path: Path) -> Path:
 
 
 @pytest.fixture
-def made() -> Iterator[list[Live]]:
+def open_lives() -> Iterator[list[Live]]:
     lives: list[Live] = []
     yield lives
     for each in lives:
@@ -41,10 +41,10 @@ def edit(path: Path, old: str, new: str) -> None:
     path.write_text(text.replace(old, new))
 
 
-def started(made: list[Live], scene: Path) -> Page:
-    made.append(Live.open(scene))
-    made[-1].start()
-    return Page(made[-1])
+def started(open_lives: list[Live], scene: Path) -> Page:
+    open_lives.append(Live.open(scene))
+    open_lives[-1].start()
+    return Page(open_lives[-1])
 
 
 def sparse(path: Path) -> None:
@@ -64,12 +64,12 @@ NO_FILES: dict[str, Callable[[Path], None]] = {
 @pytest.mark.parametrize("kind", NO_FILES)
 @pytest.mark.parametrize("name", ["scene.yaml", "base.yaml", "walker.ant", "ground.ply"])
 def test_it_waits_for_a_file_where_something_else_is_and_goes_on_by_itself(
-    folder: Path, made: list[Live], name: str, kind: str
+    folder: Path, open_lives: list[Live], name: str, kind: str
 ) -> None:
     good = (folder / name).read_bytes()
     (folder / name).unlink()
     NO_FILES[kind](folder / name)
-    page = started(made, folder / "scene.yaml")
+    page = started(open_lives, folder / "scene.yaml")
     assert page.until(lambda: page.last("problems"))["problems"]
     (folder / name).unlink()
     (folder / name).write_bytes(good)
@@ -88,11 +88,13 @@ def test_it_waits_for_a_file_where_something_else_is_and_goes_on_by_itself(
     page.status(frame=6)
 
 
-def test_a_page_is_not_shown_what_a_link_in_the_scenes_folder_leads_to(folder: Path, made: list[Live], tmp_path: Path) -> None:
+def test_a_page_is_not_shown_what_a_link_in_the_scenes_folder_leads_to(
+    folder: Path, open_lives: list[Live], tmp_path: Path
+) -> None:
     (tmp_path / "secret.ant").write_text("ant 1 # nobody's business\n")
     (folder / "walker.ant").unlink()
     (folder / "walker.ant").symlink_to(tmp_path / "secret.ant")
-    page = started(made, folder / "scene.yaml")
+    page = started(open_lives, folder / "scene.yaml")
     assert "link" in page.until(lambda: page.last("problems"))["problems"][0]["message"]
     page.until(lambda: page.last("texts"))
     assert "nobody's business" not in str(page.told)
@@ -100,20 +102,20 @@ def test_a_page_is_not_shown_what_a_link_in_the_scenes_folder_leads_to(folder: P
 
 @pytest.mark.parametrize("name", ["base.yaml", "walker.ant", "ground.ply"])
 @pytest.mark.parametrize("broken", [False, True])
-def test_it_opens_once_a_file_is_mended_or_comes(folder: Path, made: list[Live], name: str, broken: bool) -> None:
+def test_it_opens_once_a_file_is_mended_or_comes(folder: Path, open_lives: list[Live], name: str, broken: bool) -> None:
     good = (folder / name).read_bytes()
     if broken:
         (folder / name).write_text("{")
     else:
         (folder / name).unlink()
-    page = started(made, folder / "scene.yaml")
+    page = started(open_lives, folder / "scene.yaml")
     assert page.until(lambda: page.last("problems"))["problems"]
     (folder / name).write_bytes(good)
     page.status(frame=1, agents=50)
 
 
-def test_a_file_that_an_edit_names_may_come_later(folder: Path, made: list[Live]) -> None:
-    page = started(made, folder / "scene.yaml")
+def test_a_file_that_an_edit_names_may_come_later(folder: Path, open_lives: list[Live]) -> None:
+    page = started(open_lives, folder / "scene.yaml")
     page.status(frame=1)
     edit(folder / "base.yaml", "ground.ply", "soil.ply")
     assert not page.until(lambda: page.last("outcome"))["ok"]
@@ -153,14 +155,14 @@ def test_what_is_set_by_hand_ahead_is_no_edit_of_files(folder: Path) -> None:
     assert session.head == 3
 
 
-def test_a_mesh_that_is_gone_is_taken_away(folder: Path, made: list[Live]) -> None:
-    page = started(made, folder / "scene.yaml")
+def test_a_mesh_that_is_gone_is_taken_away(folder: Path, open_lives: list[Live]) -> None:
+    page = started(open_lives, folder / "scene.yaml")
     page.until(lambda: "mesh:stones" in page.packets)
     stones = unpack(page.packets["mesh:stones"])[1]
     edit(folder / "walker.ant", "; obstacle stones", "")
     edit(folder / "base.yaml", "\n  stones: {mesh: stones.ply}", "")
     page.until(lambda: not len(unpack(page.packets["mesh:stones"])[1]["face"]))
-    later = Page(made[0])
+    later = Page(open_lives[0])
     later.until(lambda: "mesh:ground" in later.packets and "frame" in later.packets)
     assert "mesh:stones" not in later.packets or not len(unpack(later.packets["mesh:stones"])[1]["face"])
     page.ask("seek", frame=1, exact=True)
@@ -172,31 +174,31 @@ def test_a_mesh_that_is_gone_is_taken_away(folder: Path, made: list[Live]) -> No
 
 
 @pytest.mark.skipif(os.name == "nt", reason="names are text there")
-def test_a_name_that_is_no_text_is_told_as_near_to_it_as_can_be(folder: Path, made: list[Live]) -> None:
+def test_a_name_that_is_not_text_is_shown_as_closely_as_possible(folder: Path, open_lives: list[Live]) -> None:
     odd = Path(os.fsdecode(os.fsencode(folder) + b"/sc\xffne.yaml"))
     try:
         (folder / "scene.yaml").rename(odd)
     except OSError:
         pytest.skip("this disk has no such names")
-    page = started(made, odd)
+    page = started(open_lives, odd)
     page.status(frame=1)
     assert [each["message"] for each in page.told if each["op"] == "refused"] == []
     assert page.last("scene")["name"] == "sc?ne.yaml"
     assert "\\udc" not in ascii(page.told)
 
 
-def test_a_fault_tells_the_page_no_path_of_this_machine(folder: Path, made: list[Live]) -> None:
+def test_a_fault_tells_the_page_no_path_of_this_machine(folder: Path, open_lives: list[Live]) -> None:
     edit(folder / "walker.ant", "max_speed 30 mm/s", "max_speed 30 mm/s\n  load = 0")
     edit(folder / "walker.ant", "wander()", "wander() * (1 / load)")
-    page = started(made, folder / "scene.yaml")
+    page = started(open_lives, folder / "scene.yaml")
     page.ask("step", count=3)
     fault = page.until(lambda: (page.last("status") or {}).get("fault"))
     assert fault.startswith("walker.ant:") and "not finite" in fault
     assert str(folder) not in str([each for each in page.told if each["op"] == "status"])
 
 
-def test_a_scene_that_is_gone_is_told_of_by_its_name(folder: Path, made: list[Live]) -> None:
-    page = started(made, folder / "scene.yaml")
+def test_a_missing_scene_is_reported_by_its_name(folder: Path, open_lives: list[Live]) -> None:
+    page = started(open_lives, folder / "scene.yaml")
     page.status(frame=1)
     (folder / "scene.yaml").unlink()
     [problem] = page.until(lambda: page.last("outcome"))["problems"]

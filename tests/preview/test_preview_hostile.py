@@ -75,8 +75,8 @@ def browser() -> Iterator[Browser]:
     with chromium(
         f"--host-resolver-rules=MAP {EVIL} 127.0.0.1",
         "--disable-features=BlockInsecurePrivateNetworkRequests,PrivateNetworkAccessChecks,LocalNetworkAccessChecks",
-    ) as found:
-        yield found
+    ) as chromium_browser:
+        yield chromium_browser
 
 
 def tried(page: Page, what: str, address: str, token: str) -> str:
@@ -86,8 +86,8 @@ def tried(page: Page, what: str, address: str, token: str) -> str:
 
 def test_a_hostile_page_gets_nothing(browser: Browser, tmp_path: Path) -> None:
     scene = copied("minimal", tmp_path) / "scene.yaml"
-    with previewed(scene) as whole, hostile() as port:
-        address, _, token = whole.partition("#")
+    with previewed(scene) as full_address, hostile() as port:
+        address, _, token = full_address.partition("#")
         page = browser.new_page()
         page.goto(f"http://{EVIL}:{port}/")
         for what in TRIES:
@@ -105,10 +105,12 @@ def test_a_hostile_page_gets_nothing(browser: Browser, tmp_path: Path) -> None:
 
 def test_no_other_page_shows_the_preview_in_itself(browser: Browser, tmp_path: Path) -> None:
     scene = copied("minimal", tmp_path) / "scene.yaml"
-    with previewed(scene) as whole, hostile() as port:
+    with previewed(scene) as full_address, hostile() as port:
         page = browser.new_page()
         page.goto(f"http://{EVIL}:{port}/")
-        page.evaluate("address => document.body.append(Object.assign(document.createElement('iframe'), {src: address}))", whole)
+        page.evaluate(
+            "address => document.body.append(Object.assign(document.createElement('iframe'), {src: address}))", full_address
+        )
         page.wait_for_timeout(1000)
         frame = next(each for each in page.frames if each.parent_frame)
         assert frame.url.startswith("chrome-error:")
@@ -118,8 +120,8 @@ def test_no_other_page_shows_the_preview_in_itself(browser: Browser, tmp_path: P
 def test_the_page_is_not_there_by_another_name(browser: Browser, tmp_path: Path) -> None:
     """After DNS rebinding the browser takes the preview for a page of the attacker, and lets them read it."""
     scene = copied("minimal", tmp_path) / "scene.yaml"
-    with previewed(scene) as whole:
-        address, _, token = whole.partition("#")
+    with previewed(scene) as full_address:
+        address, _, token = full_address.partition("#")
         rebound = address.replace("127.0.0.1", EVIL)
         page = browser.new_page()
         response = page.goto(f"{rebound}#{token}")

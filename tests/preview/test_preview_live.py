@@ -32,9 +32,9 @@ def live(scene: Path) -> Iterator[Live]:
     live.stop()
 
 
-def test_whoever_joins_is_told_and_shown_everything(live: Live) -> None:
+def test_a_joining_page_receives_everything(live: Live) -> None:
     page = Page(live)
-    page.shown(1)
+    page.frame_arrays(1)
     ops = [message["op"] for message in page.told[:6]]
     assert ops == ["hello", "scene", "texts", "problems", "status", "curves"]
     page.until(lambda: {"rig:forager", "mesh:ground", "mesh:stones", "item:food:apple"} <= page.packets.keys())
@@ -46,7 +46,7 @@ def test_whoever_joins_is_told_and_shown_everything(live: Live) -> None:
     assert later.packets == page.packets
 
 
-def test_the_hash_is_that_of_a_run_whoever_looks_on_and_scrubs(live: Live, scene: Path) -> None:
+def test_the_hash_is_that_of_a_run_despite_pages_and_scrubbing(live: Live, scene: Path) -> None:
     expected = hashes(scene, 40)
     page, other = Page(live), Page(live)
     page.ask("look", columns=({"species": "forager", "name": "zeal"},), fields=("trail",), solids=True,
@@ -77,54 +77,54 @@ def test_it_plays_and_pauses_and_keeps_the_pace(live: Live) -> None:
 def test_a_saved_edit_goes_on_with_the_ants_and_an_error_leaves_them_running(live: Live, scene: Path) -> None:
     page = Page(live)
     page.ask("step", count=5)
-    page.shown(6)
+    page.frame_arrays(6)
     program = scene.with_name("forager.ant")
     good = program.read_text()
     number = len(page.told)
     program.write_text(good.replace("smell", "smel\N{ANT}l", 1))
-    outcome = page.told_after("outcome", number)
+    outcome = page.message_after("outcome", number)
     assert not outcome["ok"] and outcome["of"] == "saved"
-    problem = page.told_after("problems", number)["problems"][0]
-    shown = {text["file"]: text["text"] for text in page.told_after("texts", number)["texts"]}["forager.ant"]
-    assert problem["file"] == "forager.ant" and "\N{ANT}" in shown
-    assert shown.encode("utf-16-le")[2 * problem["start"] : 2 * problem["end"]].decode("utf-16-le").strip()
+    problem = page.message_after("problems", number)["problems"][0]
+    program_text = {text["file"]: text["text"] for text in page.message_after("texts", number)["texts"]}["forager.ant"]
+    assert problem["file"] == "forager.ant" and "\N{ANT}" in program_text
+    assert program_text.encode("utf-16-le")[2 * problem["start"] : 2 * problem["end"]].decode("utf-16-le").strip()
     page.ask("step")
-    page.shown(7)
+    page.frame_arrays(7)
     number = len(page.told)
     program.write_text(good.replace("patience = 36 s", "patience = 30 s"))
-    outcome = page.told_after("outcome", number)
+    outcome = page.message_after("outcome", number)
     assert outcome["ok"] and "kept 40 agents" in outcome["line"]
     assert page.status(edited=True)["frame"] == 7
-    assert page.told_after("problems", number)["problems"] == []
+    assert page.message_after("problems", number)["problems"] == []
 
 
-def test_what_is_set_by_hand_is_told_with_its_line(live: Live) -> None:
+def test_changes_by_hand_are_reported_with_their_line(live: Live) -> None:
     page = Page(live)
-    page.shown(1)
-    done = page.done("set", name="forager.smell", value="60 mm")
-    assert done["ok"] and done["text"] == "set: {forager.smell: 60 mm}" and done["file"] == "scene.yaml"
+    page.frame_arrays(1)
+    outcome = page.ask_and_wait("set", name="forager.smell", value="60 mm")
+    assert outcome["ok"] and outcome["text"] == "set: {forager.smell: 60 mm}" and outcome["file"] == "scene.yaml"
     param = page.until(
         lambda: next((p for p in page.last("scene")["params"] if p["name"] == "forager.smell" and p["number"] == 60), None)
     )
     assert (param["value"], param["written"], param["unit"]) == ("60 mm", "40 mm", "mm")
     layer = page.last("scene")["species"][0]["layers"][1]
-    done = page.done("layer", species="forager", layer=layer["text"], on=False)
-    assert done["ok"] and done["file"] == "forager.ant"
+    outcome = page.ask_and_wait("layer", species="forager", layer=layer["text"], on=False)
+    assert outcome["ok"] and outcome["file"] == "forager.ant"
     page.until(lambda: page.last("scene")["species"][0]["layers"][1] == {**layer, "on": False})
-    assert page.done("field", name="trail", on=False)["ok"]
+    assert page.ask_and_wait("field", name="trail", on=False)["ok"]
     page.until(lambda: not page.last("scene")["fields"][0]["on"])
-    assert not page.done("set", name="forager.smell", value="60 kg")["ok"]
+    assert not page.ask_and_wait("set", name="forager.smell", value="60 kg")["ok"]
 
 
 def test_a_bug_in_a_handler_ends_nothing(live: Live, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     page = Page(live)
-    page.shown(1)
+    page.frame_arrays(1)
     monkeypatch.setattr(Session, "layer", lambda *_: 1 / 0)
-    refused = page.done("layer", species="forager", layer="x", on=True)
+    refused = page.ask_and_wait("layer", species="forager", layer="x", on=True)
     assert "bug in antdsl" in refused["message"]
     assert "ZeroDivisionError" in capsys.readouterr().err
     page.ask("step")
-    page.shown(2)
+    page.frame_arrays(2)
 
 
 def test_a_scene_with_errors_opens_once_they_are_mended(scene: Path) -> None:
@@ -135,33 +135,35 @@ def test_a_scene_with_errors_opens_once_they_are_mended(scene: Path) -> None:
     live.start()
     try:
         page = Page(live)
-        found = page.until(lambda: (page.last("problems") or {"problems": []})["problems"])
-        assert found[0]["file"] == "forager.ant"
-        assert "errors" in page.done("play")["message"]
+        problems = page.until(lambda: (page.last("problems") or {"problems": []})["problems"])
+        assert problems[0]["file"] == "forager.ant"
+        assert "errors" in page.ask_and_wait("play")["message"]
         program.write_text(good)
-        page.shown(1)
+        page.frame_arrays(1)
         assert page.status(agents=40)["frame"] == 1
         assert page.last("problems")["problems"] == []
     finally:
         live.stop()
 
 
-def test_what_steps_spend_their_time_on_is_told_to_the_page_that_asks_and_changes_nothing(scene: Path, live: Live) -> None:
+def test_costs_of_steps_are_sent_to_the_requesting_page_and_change_nothing(scene: Path, live: Live) -> None:
     page, other = Page(live), Page(live)
-    other.shown(1)
-    page.shown(1)
+    other.frame_arrays(1)
+    page.frame_arrays(1)
     page.ask("profile", on=True)
     page.ask("speed", times=0.0)
     page.ask("play")
-    told = page.until(lambda: (found := page.last("profile")) is not None and found["frames"] > 4 and found)
+    profile = page.until(
+        lambda: (profile_message := page.last("profile")) is not None and profile_message["frames"] > 4 and profile_message
+    )
     page.ask("pause")
     frame = page.status(playing=False)["frame"]
-    assert [each["name"] for each in told["phases"]][:3] == ["sense", "decide", "claim"]
-    assert sum(each["ms"] for each in told["phases"]) == pytest.approx(told["total"], abs=0.01)
-    first = told["layers"][0]
+    assert [each["name"] for each in profile["phases"]][:3] == ["sense", "decide", "claim"]
+    assert sum(each["ms"] for each in profile["phases"]) == pytest.approx(profile["total"], abs=0.01)
+    first = profile["layers"][0]
     assert (first["species"], first["file"], first["line"]) == ("forager", "forager.ant", 75)
     assert first["text"] == "avoid(stones, feelers: 3, spread: 35 deg, reach: 1.5 * size)"
-    lines = {(each["file"], each["line"]): each for each in told["lines"]}
+    lines = {(each["file"], each["line"]): each for each in profile["lines"]}
     assert lines["forager.ant", 31]["text"].startswith("let meal") and lines["forager.ant", 31]["ms"] > 0
     assert any(file == "<steering>" for file, _ in lines)
     assert other.last("profile") is None
@@ -169,7 +171,7 @@ def test_what_steps_spend_their_time_on_is_told_to_the_page_that_asks_and_change
     page.ask("profile", on=False)
     number = len(page.told)
     page.ask("step")
-    page.shown(frame + 1)
+    page.frame_arrays(frame + 1)
     page.status(frame=frame + 1)
     assert not [message for message in page.told[number:] if message["op"] == "profile"]
     assert live.session.meter is None
@@ -184,11 +186,13 @@ def test_what_steps_spend_their_time_on_is_told_to_the_page_that_asks_and_change
 
 def test_steps_on_end_can_be_paused_and_a_newer_seek_goes_before_an_older_one(live: Live) -> None:
     page = Page(live)
-    page.shown(1)
+    page.frame_arrays(1)
     page.ask("step", count=1000)
     page.until(lambda: page.frames[-1][0] > 60)
     page.ask("pause")
-    stopped = page.until(lambda: (found := page.last("status")) and found["hash"] and found["frame"] > 1 and found["frame"])
+    stopped = page.until(
+        lambda: (message := page.last("status")) and message["hash"] and message["frame"] > 1 and message["frame"]
+    )
     assert 60 < stopped < 1000 and page.last("status")["head"] == stopped
     number = len(page.frames)
     for frame in range(2, 60):
@@ -208,7 +212,7 @@ def test_too_much_at_once_is_refused(scene: Path) -> None:
 
 
 @pytest.mark.parametrize("asked", [100, pytest.param(1000, marks=pytest.mark.slow)])
-def test_whatever_is_asked_in_whatever_order_nothing_breaks(live: Live, scene: Path, asked: int) -> None:
+def test_no_sequence_of_requests_breaks_anything(live: Live, scene: Path, asked: int) -> None:
     """Two pages, a saved file now and then, and in the end the run is that of a fresh one."""
     draw = np.random.Generator(np.random.Philox(5))
     program = scene.with_name("forager.ant")
@@ -262,7 +266,7 @@ def test_whatever_is_asked_in_whatever_order_nothing_breaks(live: Live, scene: P
     said = [message for each in (*pages, page) for message in each.told if message["op"] == "refused"]
     assert not [message for message in said if "bug" in message["message"]], said[:3]
     page.ask("reload")
-    assert page.done("restart")["ok"]
+    assert page.ask_and_wait("restart")["ok"]
     page.ask("step", count=5)
     assert page.hash_at(6) == _fresh(live, 6)
 
@@ -277,19 +281,19 @@ def _fresh(live: Live, frame: int) -> str:
     return next(state_hash(world) for world in simulate(shot) if world.frame == frame)
 
 
-def test_a_value_at_fault_pauses_and_is_told(live: Live, scene: Path) -> None:
+def test_a_faulty_value_pauses_and_is_reported(live: Live, scene: Path) -> None:
     page = Page(live)
-    page.shown(1)
+    page.frame_arrays(1)
     number = len(page.told)
     program = scene.with_name("forager.ant")
     program.write_text(program.read_text().replace("    steer wander(swing: swing)\n", "    zeal = zeal / load\n"))
-    assert page.told_after("outcome", number)["ok"]
+    assert page.message_after("outcome", number)["ok"]
     page.ask("play")
     fault = page.until(lambda: page.last("status")["fault"])
     assert "zeal" in fault and not page.last("status")["playing"] and page.last("status")["frame"] == 2
 
 
-def test_whoever_asks_without_end_does_not_hold_up_the_ants(live: Live, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_endless_requests_do_not_hold_up_the_ants(live: Live, monkeypatch: pytest.MonkeyPatch) -> None:
     page, eager = Page(live), Page(live)
     page.ask("speed", times=0.0)
     page.ask("play")

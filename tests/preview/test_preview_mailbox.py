@@ -29,13 +29,13 @@ def with_mailbox(test: Callable[[Mailbox, list[str]], Awaitable[None]], **budget
 
 
 async def drained(mailbox: Mailbox) -> list[Any]:
-    found: list[Any] = []
+    items: list[Any] = []
     try:
         while True:
             got = await asyncio.wait_for(mailbox.next(), 0.02)
-            found.append(got if isinstance(got, bytes) else json.loads(got)["op"])
+            items.append(got if isinstance(got, bytes) else json.loads(got)["op"])
     except TimeoutError:
-        return found
+        return items
 
 
 def test_the_latest_of_a_slot_takes_the_place_of_the_one_before() -> None:
@@ -65,7 +65,7 @@ def test_a_packet_after_a_scene_arrives_after_it() -> None:
     with_mailbox(test)
 
 
-def test_hello_is_told_which_page_there_is() -> None:
+def test_hello_names_the_current_page() -> None:
     async def test(mailbox: Mailbox, full: list[str]) -> None:
         message = {"op": "hello", "build": ""}
         mailbox.tell(message)
@@ -76,7 +76,7 @@ def test_hello_is_told_which_page_there_is() -> None:
 
 
 @pytest.mark.parametrize("what", ["words", "packets"])
-def test_more_than_the_budget_is_not_kept(what: str) -> None:
+def test_more_than_the_budget_is_not_stored(what: str) -> None:
     async def test(mailbox: Mailbox, full: list[str]) -> None:
         for _ in range(100):
             mailbox.show("one", bytes(900))  # the same slot: never more than one of them
@@ -143,15 +143,15 @@ def test_nothing_is_lost_or_turned_round_between_two_threads() -> None:
     with_mailbox(test)
 
 
-def test_a_mailbox_whose_loop_has_ended_takes_what_it_is_given() -> None:
-    kept: list[Mailbox] = []
+def test_a_mailbox_whose_loop_has_ended_accepts_messages() -> None:
+    mailboxes: list[Mailbox] = []
 
     async def test(mailbox: Mailbox, full: list[str]) -> None:
-        kept.append(mailbox)
+        mailboxes.append(mailbox)
 
     with_mailbox(test)
-    kept[0].tell({"op": "status"})
-    kept[0].show("frame", b"")
+    mailboxes[0].tell({"op": "status"})
+    mailboxes[0].show("frame", b"")
 
 
 def test_a_bucket_gives_what_it_holds_and_then_by_the_second() -> None:
@@ -192,7 +192,7 @@ def has_six() -> bool:
 
 
 @pytest.mark.skipif(not has_six(), reason="this machine has no IPv6")
-def test_a_port_that_somebody_has_at_the_other_loopback_is_not_ours() -> None:
+def test_a_port_taken_at_the_other_loopback_is_refused() -> None:
     """`localhost` would lead to them, and the token with it."""
     with socket.socket(socket.AF_INET6) as other:
         other.setsockopt(socket.IPPROTO_IPV6, socket.IPV6_V6ONLY, 1)
@@ -205,9 +205,9 @@ def test_without_one_of_the_loopbacks_the_other_does(monkeypatch: pytest.MonkeyP
     if not has_six():
         pytest.skip("this machine has no IPv6")
     monkeypatch.setattr(addresses, "_LOOPBACK", ("192.0.2.7", "::1"))  # an address for documents: no machine has it
-    found = listen(port=0)
-    found.close()
-    assert len(found.sockets) == 1 and found.addresses[0].startswith("http://[::1]:")
+    listener = listen(port=0)
+    listener.close()
+    assert len(listener.sockets) == 1 and listener.addresses[0].startswith("http://[::1]:")
 
 
 def test_which_hosts_are_this_machine_only() -> None:
@@ -221,12 +221,12 @@ def test_which_hosts_are_this_machine_only() -> None:
 
 
 def test_at_every_address_the_names_are_the_machines_own() -> None:
-    found = listen("0.0.0.0", 0)
-    found.close()
-    port = next(iter(found.names)).rsplit(":", 1)[1]
-    assert {f"localhost:{port}", f"127.0.0.1:{port}", f"{socket.gethostname().lower()}:{port}"} <= found.names
-    assert not any(name.startswith(("0.0.0.0:", "*", "[::]")) for name in found.names)
-    assert all(address.split("/")[2] in found.names for address in found.addresses)
+    listener = listen("0.0.0.0", 0)
+    listener.close()
+    port = next(iter(listener.names)).rsplit(":", 1)[1]
+    assert {f"localhost:{port}", f"127.0.0.1:{port}", f"{socket.gethostname().lower()}:{port}"} <= listener.names
+    assert not any(name.startswith(("0.0.0.0:", "*", "[::]")) for name in listener.names)
+    assert all(address.split("/")[2] in listener.names for address in listener.addresses)
 
 
 def test_the_extra_is_named_where_it_is_missing(monkeypatch: pytest.MonkeyPatch) -> None:

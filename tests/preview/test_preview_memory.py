@@ -9,14 +9,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from live_client import Page, places
+from live_client import Page, agent_positions
 from preview_page import few
 
 from antdsl.preview import Live, Session, timeline
 from antdsl.preview.binary_packets import unpack
 from antdsl.preview.observing.spec_judgement import Specs
 from antdsl.preview.viewing.acting import remember, remembered
-from antdsl.preview.viewing.curves import Told
+from antdsl.preview.viewing.curves import SentCurves
 from antdsl.preview.viewing.scene import Box
 
 
@@ -40,10 +40,10 @@ def test_full_memory_keeps_the_latest_light_frames_and_checkpoints_of_all_times(
     for _ in range(120):
         session.step()
         hashes[session.frame] = session.hash
-    kept = session.timeline
-    assert kept.nbytes <= kept.budget
-    assert list(kept.light)[-20:] == list(range(102, 122))
-    points = sorted(kept.stretches[0].checkpoints)
+    history = session.timeline
+    assert history.nbytes <= history.budget
+    assert list(history.light)[-20:] == list(range(102, 122))
+    points = sorted(history.stretches[0].checkpoints)
     gaps = [b - a for a, b in pairwise(points)]
     assert points[0] == 1 and points[-1] >= 118 and len(points) > 5
     assert max(gaps[:-1]) <= 4 * min(gaps[:-1])
@@ -52,53 +52,53 @@ def test_full_memory_keeps_the_latest_light_frames_and_checkpoints_of_all_times(
         assert session.hash == hashes[frame]
 
 
-def test_what_bodies_did_is_kept_of_the_latest_frames_and_costs_no_older_ones(scene: Path) -> None:
+def test_poses_are_stored_for_the_latest_frames_only(scene: Path) -> None:
     bare = opened(scene, every=2)
     session = opened(scene, every=2, budget=20 * bare.timeline.nbytes)
     for _ in range(120):
         session.step()
         remember(session)
     session.step()
-    kept = session.timeline
-    assert kept.nbytes <= kept.budget and 0 < kept.poses.nbytes <= kept.budget / 4
-    assert kept.poses.nbytes == sum(
-        a.nbytes for each in kept.poses.values() for one in each.values() for a in one.arrays.values()
+    history = session.timeline
+    assert history.nbytes <= history.budget and 0 < history.poses.nbytes <= history.budget / 4
+    assert history.poses.nbytes == sum(
+        a.nbytes for each in history.poses.values() for one in each.values() for a in one.arrays.values()
     )
-    assert 5 < len(kept.poses) < len(kept.light)
-    assert list(kept.poses) == list(range(122 - len(kept.poses), 122))
+    assert 5 < len(history.poses) < len(history.light)
+    assert list(history.poses) == list(range(122 - len(history.poses), 122))
     assert {"forager/plays/main", "forager/wears"} <= remembered(session, 121)["forager"].keys()
 
 
 def test_curves_and_branches_do_not_grow_for_ever(scene: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(timeline, "_CURVES", 30)
-    session, told = opened(scene, every=4), Told()
+    session, sent_curves = opened(scene, every=4), SentCurves()
     for number in range(12):
         for _ in range(4):
             session.step()
         session.seek(session.frame - 1)
         assert session.set("forager.smell", f"{50 + number} mm").ok
-        message = told.news(session.timeline)
+        message = sent_curves.news(session.timeline)
         assert message is not None and message["branches"][-1]["line"] == f"set: {{forager.smell: {50 + number} mm}}"
     assert [each.line[-7:-4] for each in session.timeline.branches] == [f" {50 + k}" for k in range(4, 12)]
     assert len(session.timeline.curves) <= 30 and session.head == session.frame
     session.step()
     session.seek(session.head - 5)
-    before = list(session.timeline.curves)
+    initial_curves = list(session.timeline.curves)
     for _ in range(5):
         session.step()
-    assert list(session.timeline.curves) == before
+    assert list(session.timeline.curves) == initial_curves
     for _ in range(60):
         session.step()
     session.seek(20)  # of which there is no curve any more
     assert session.set("forager.smell", "40 mm").ok and (session.frame, session.head) == (20, 20)
 
 
-def test_a_long_history_is_told_in_few_points(scene: Path) -> None:
+def test_a_long_history_is_sent_in_few_points(scene: Path) -> None:
     session = opened(scene)
     one = session.timeline.curves[1]
     session.timeline.curves = {frame: one for frame in range(1, 20_001)}
     session.timeline.branches = [timeline.Branch(1, "before", dict(session.timeline.curves)) for _ in range(8)]
-    assert len(json.dumps(Told().all_of_it(session.timeline))) < 2_000_000
+    assert len(json.dumps(SentCurves().all_of_it(session.timeline))) < 2_000_000
 
 
 def test_what_was_judged_at_an_edit_is_still_known_when_one_plays_through_it_again(scene: Path) -> None:
@@ -115,14 +115,14 @@ def test_what_was_judged_at_an_edit_is_still_known_when_one_plays_through_it_aga
     program.write_text(program.read_text().replace("36 s", "35 s"))
     assert session.reload().ok
     go(3)
-    before = {frame: dict(values) for frame, values in session.timeline.curves.items()}
-    assert any(name.startswith("spec: ") for name in before[6])
+    initial_curves = {frame: dict(values) for frame, values in session.timeline.curves.items()}
+    assert any(name.startswith("spec: ") for name in initial_curves[6])
     session.seek(3)
     go(6)
-    assert session.timeline.curves == before
+    assert session.timeline.curves == initial_curves
 
 
-def test_a_layer_of_several_lines_is_told_as_so_many_comments(scene: Path) -> None:
+def test_a_layer_of_several_lines_becomes_as_many_comments(scene: Path) -> None:
     program = scene.with_name("forager.ant")
     program.write_text(program.read_text().replace("give_way(radius: 2.2 * size)", "give_way(\n      radius: 2.2 * size)"))
     outcome = opened(scene).layer("forager", "give_way(\n      radius: 2.2 * size)", on=False)
@@ -134,14 +134,15 @@ def test_a_field_that_is_set_to_other_values_is_not_off(scene: Path) -> None:
     live.start()
     page = Page(live)
     assert (
-        page.done("set", name="trail.limit", value="0.5")["ok"] and page.done("set", name="trail.keeps", value="90 %/step")["ok"]
+        page.ask_and_wait("set", name="trail.limit", value="0.5")["ok"]
+        and page.ask_and_wait("set", name="trail.keeps", value="90 %/step")["ok"]
     )
     page.ask("step", count=1)
     page.status(frame=2)
     assert [each["on"] for each in page.last("scene")["fields"]] == [True]
-    assert page.done("field", name="trail", on=False)["ok"]
+    assert page.ask_and_wait("field", name="trail", on=False)["ok"]
     page.until(lambda: [each["on"] for each in page.last("scene")["fields"]] == [False])
-    assert page.done("field", name="trail", on=True)["ok"]
+    assert page.ask_and_wait("field", name="trail", on=True)["ok"]
     live.stop()
     assert live.session.choices.params == {"trail.limit": "0.5", "trail.keeps": "90 %/step"}, "it is as it was before"
 
@@ -166,38 +167,38 @@ def test_frames_of_before_an_edit_are_shown_with_the_words_of_then(scene: Path) 
     live.start()
     page = Page(live)
 
-    def seen(frame: int, *, light: bool) -> tuple[list[str], set[str]]:
+    def read_states(frame: int, *, light: bool) -> tuple[list[str], set[str]]:
         """The states that the page knows, and those that it sees ants in."""
-        states = page.shown(frame, light=light)["forager/state/main"]
+        states = page.frame_arrays(frame, light=light)["forager/state/main"]
         known = next(each for each in page.last("scene")["species"] if each["name"] == "forager")["machines"][0]["states"]
         return known, {known[state] if state < len(known) else "" for state in set(states.tolist())}
 
     try:
         page.ask("step", count=10)
         page.hash_at(11)
-        before, there = seen(11, light=False)
+        old_states, occupied_states = read_states(11, light=False)
         program = scene.with_name("forager.ant")
         head, sign, rest = program.read_text().partition("  state ")
         program.write_text(f"{head}  state dance {{ steer wander() }}\n{sign}{rest}")
-        assert page.done("reload")["ok"]
+        assert page.ask_and_wait("reload")["ok"]
         page.ask("step", count=5)
         page.hash_at(16)
-        assert seen(16, light=False)[0] == ["dance", *before]
+        assert read_states(16, light=False)[0] == ["dance", *old_states]
         page.ask("seek", frame=5, exact=False)
-        assert seen(5, light=True) == (["dance", *before], there)
+        assert read_states(5, light=True) == (["dance", *old_states], occupied_states)
         page.ask("seek", frame=5, exact=True)
         page.hash_at(5)
-        assert seen(5, light=False) == (before, there)
+        assert read_states(5, light=False) == (old_states, occupied_states)
         page.ask("seek", frame=14, exact=False)
-        assert seen(14, light=True) == (before, there)
+        assert read_states(14, light=True) == (old_states, occupied_states)
         page.ask("step", count=1)
         page.hash_at(15)
-        assert seen(15, light=False) == (["dance", *before], there)
+        assert read_states(15, light=False) == (["dance", *old_states], occupied_states)
     finally:
         live.stop()
 
 
-def test_sliders_stand_where_they_stood_at_the_frame_one_goes_to(scene: Path) -> None:
+def test_sliders_return_to_their_values_at_the_selected_frame(scene: Path) -> None:
     live = Live.open(scene, watch=False)
     live.start()
     page = Page(live)
@@ -207,7 +208,7 @@ def test_sliders_stand_where_they_stood_at_the_frame_one_goes_to(scene: Path) ->
 
     page.ask("step", count=3)
     page.hash_at(4)
-    assert page.done("set", name="forager.smell", value="55 mm")["ok"]
+    assert page.ask_and_wait("set", name="forager.smell", value="55 mm")["ok"]
     page.ask("step", count=3)
     page.hash_at(7)
     assert smell() == "55 mm"
@@ -230,20 +231,20 @@ def test_the_box_about_all_stays_while_agents_fly_out_of_it(scene: Path) -> None
     assert box.of(session) != first
 
 
-def test_each_page_is_told_whose_feelers_are_whose(scene: Path) -> None:
+def test_each_page_learns_whose_feelers_are_whose(scene: Path) -> None:
     live = Live.open(scene, watch=False)
     live.start()
     pages = [Page(live), Page(live)]
     for page, agent in zip(pages, (3, 7), strict=True):
         page.ask("look", columns=(), fields=(), flows=(), solids=True, follow={"species": "forager", "agent": agent})
     pages[0].ask("step", count=2)
-    arrays = pages[0].shown(3)
+    arrays = pages[0].frame_arrays(3)
     live.stop()
     header, _ = unpack(pages[0].packets["frame"])
     assert [each[:2] for each in header["felt"]] == [["forager", 3], ["forager", 7]]
     lines, at = arrays["feelers"].reshape(-1, 2, 3), 0
     for _, agent, count in header["felt"]:
-        place = places(arrays, "forager")[list(arrays["forager/id"]).index(agent)]
+        place = agent_positions(arrays, "forager")[list(arrays["forager/id"]).index(agent)]
         assert count > 0 and np.allclose(lines[at : at + count, 0], place, atol=1e-3)
         at += count
     assert at == len(lines) == len(arrays["feelers/hit"])

@@ -20,19 +20,21 @@ def test_what_is_packed_comes_out_again() -> None:
         "one": np.array(3, np.uint32),
     }
     packet = pack("frame", arrays, frame=4, light=False)
-    header, found = unpack(packet)
+    header, unpacked_arrays = unpack(packet)
     assert (header["slot"], header["frame"], header["light"]) == ("frame", 4, False)
-    assert list(found) == list(arrays)
+    assert list(unpacked_arrays) == list(arrays)
     for name, array in arrays.items():
-        np.testing.assert_array_equal(found[name], array.reshape(-1))
+        np.testing.assert_array_equal(unpacked_arrays[name], array.reshape(-1))
     assert all(offset % 8 == 0 for _, _, _, offset in header["arrays"])
     assert isinstance(packet, bytes) and len(packet) % 8 == 0
 
 
 def test_a_long_header_moves_the_arrays_back() -> None:
     arrays = {f"species {k}/state/machine {k}": np.full(k, k, np.uint8) for k in range(200)}
-    header, found = unpack(pack("frame", arrays))
-    assert {name: array.tolist() for name, array in found.items()} == {name: array.tolist() for name, array in arrays.items()}
+    header, unpacked_arrays = unpack(pack("frame", arrays))
+    assert {name: array.tolist() for name, array in unpacked_arrays.items()} == {
+        name: array.tolist() for name, array in arrays.items()
+    }
     assert header["arrays"][0][3] > 4000
 
 

@@ -34,9 +34,9 @@ def test_keys_of_the_last_starts_are_known_to_this_scene_and_port_alone(tmp_path
     assert all(starts) and len({each.key for each in starts if each}) == 6
     last = starts[-1]
     assert last is not None
-    assert last.before == tuple(each.key for each in reversed(starts[1:5]) if each)
+    assert last.previous_keys == tuple(each.key for each in reversed(starts[1:5]) if each)
     known, forgotten, other = (starts[4], starts[0], Returning.of(SCENE, 8766, folder))
-    assert known is not None and forgotten is not None and other is not None and other.before == ()
+    assert known is not None and forgotten is not None and other is not None and other.previous_keys == ()
     host = "127.0.0.1:8765"
     assert last.proves(proof(known.key, host, "n"), host, "n")
     for wrong in (proof(forgotten.key, host, "n"), proof(last.key, host, "n"), proof(known.key, host, "m"), known.key, "", "é"):
@@ -52,23 +52,23 @@ def test_only_private_files_of_keys_are_read(tmp_path: Path) -> None:
     assert first is not None
     [place] = folder.iterdir()
     assert place.stat().st_mode & 0o777 == 0o600 and folder.stat().st_mode & 0o777 == 0o700
-    whole = place.read_text()
+    original_text = place.read_text()
     for text in ("", "{", "[]", '{"keys": 3}', '{"keys": ["short", 5, null]}', "[" * 3000):
         place.write_text(text)
-        assert (found := Returning.of(SCENE, 1, folder)) is not None and found.before == ()
-    place.write_text(whole)
+        assert (returning := Returning.of(SCENE, 1, folder)) is not None and returning.previous_keys == ()
+    place.write_text(original_text)
     place.chmod(0o644)  # others may have read it
-    assert (found := Returning.of(SCENE, 1, folder)) is not None and found.before == ()
+    assert (returning := Returning.of(SCENE, 1, folder)) is not None and returning.previous_keys == ()
     place.unlink()
     elsewhere = tmp_path / "elsewhere.json"
-    elsewhere.write_text(whole)
+    elsewhere.write_text(original_text)
     elsewhere.chmod(0o600)
     place.symlink_to(elsewhere)
-    assert (found := Returning.of(SCENE, 1, folder)) is not None and found.before == ()
-    assert elsewhere.read_text() == whole, "what a link leads to is left alone"
+    assert (returning := Returning.of(SCENE, 1, folder)) is not None and returning.previous_keys == ()
+    assert elsewhere.read_text() == original_text, "what a link leads to is left alone"
     place.unlink()
     os.mkfifo(place)
-    assert (found := Returning.of(SCENE, 1, folder)) is not None and found.before == ()
+    assert (returning := Returning.of(SCENE, 1, folder)) is not None and returning.previous_keys == ()
     folder.chmod(0o777)
     assert Returning.of(SCENE, 1, folder) is None, "a folder that others may write to keeps nothing"
 
@@ -79,32 +79,32 @@ def test_a_server_lets_in_who_proves_a_key_and_tells_the_token(tmp_path: Path) -
 
     async def test() -> None:
         listening = listen(port=0)
-        before = Returning.of(SCENE, listening.port, tmp_path / "kept")
+        previous_returning = Returning.of(SCENE, listening.port, tmp_path / "kept")
         now = Returning.of(SCENE, listening.port, tmp_path / "kept")
-        assert before is not None and now is not None
+        assert previous_returning is not None and now is not None
         guard = Guard(listening.names, returning=now)
         live = Noted()
         host = f"127.0.0.1:{listening.port}"
 
         async def come(answer: str | None, origin: str | None = f"http://{host}") -> list[dict[str, str]]:
             """What one is told who answers so; `{nonce}` stands for a right proof."""
-            told = []
+            messages = []
             try:
                 options: dict[str, Any] = {"origin": origin, "subprotocols": ["antdsl.1", "token.old"], "proxy": None}
                 async with connect(f"ws://{host}/ws", **options) as client:
-                    told.append(json.loads(await client.recv()))
+                    messages.append(json.loads(await client.recv()))
                     if answer is not None:
-                        await client.send(answer.replace("{nonce}", proof(before.key, host, told[0]["nonce"])))
-                    told.append(json.loads(await client.recv()))
+                        await client.send(answer.replace("{nonce}", proof(previous_returning.key, host, messages[0]["nonce"])))
+                    messages.append(json.loads(await client.recv()))
             except ConnectionClosed as why:
-                told.append({"op": "closed", "reason": why.rcvd.reason if why.rcvd else ""})
-            return told
+                messages.append({"op": "closed", "reason": why.rcvd.reason if why.rcvd else ""})
+            return messages
 
         async with asyncio.timeout(SECONDS), Server(live, guard, pages(), listening).running():
-            asked, hello = await come("{nonce}")
-            assert asked["op"] == "return" and hello["op"] == "hello"
+            challenge, hello = await come("{nonce}")
+            assert challenge["op"] == "return" and hello["op"] == "hello"
             assert (hello["token"], hello["key"]) == (guard.token, now.key)
-            for wrong in ("", "{nonce}0", proof(before.key, host, "another"), '{"op": "play"}'):
+            for wrong in ("", "{nonce}0", proof(previous_returning.key, host, "another"), '{"op": "play"}'):
                 assert (await come(wrong))[-1] == {"op": "closed", "reason": "wrong token"}
             assert live.joined == 1 and not live.asks
             with pytest.raises(Exception, match="403"):

@@ -20,13 +20,13 @@ from antdsl.preview.viewing.acting import NONE
 @pytest.fixture
 def scene(tmp_path: Path) -> Path:
     """A copy of the walkers, thirty of them on flat ground."""
-    made = copied("walker", tmp_path) / "scene.yaml"
-    made.with_name("hill.ply").write_text(
+    scene_path = copied("walker", tmp_path) / "scene.yaml"
+    scene_path.with_name("hill.ply").write_text(
         "ply\nformat ascii 1.0\nelement vertex 4\nproperty float x\nproperty float y\nproperty float z\nelement face 2\n"
         "property list uchar int vertex_indices\nend_header\n-20 0 -20\n-20 0 20\n20 0 20\n20 0 -20\n3 0 1 2\n3 0 2 3\n"
     )
-    made.write_text(made.read_text().replace("count: 60", "count: 30"))
-    return made
+    scene_path.write_text(scene_path.read_text().replace("count: 60", "count: 30"))
+    return scene_path
 
 
 @pytest.fixture
@@ -40,7 +40,7 @@ def live(scene: Path) -> Iterator[Live]:
 def test_a_frame_tells_what_agents_play(live: Live, scene: Path) -> None:
     page = Page(live)
     page.ask("step", count=60)
-    arrays = page.shown(61)
+    arrays = page.frame_arrays(61)
     session, _ = Session.open(scene)
     assert session is not None
     for _ in range(60):
@@ -50,19 +50,19 @@ def test_a_frame_tells_what_agents_play(live: Live, scene: Path) -> None:
     clips = [clip.name for clip in walkers.plan.clips]
     playing = set()
     for machine in ("legs", "arms"):
-        told = arrays[f"walker/plays/{machine}"].reshape(30, 3, -1)[:, :, :2].reshape(30, 6)
+        plays = arrays[f"walker/plays/{machine}"].reshape(30, 3, -1)[:, :, :2].reshape(30, 6)
         now = {name: walkers.now[f"{machine}.{name}"][rows] for name in ("clip", "clip_before", "clip_turns", "clip_fade")}
-        assert np.array_equal(told[:, 0], np.where(now["clip"] < 0, NONE, now["clip"]).astype(np.uint16))
-        loops = np.array([*(name != "wave" for name in clips), False])[np.minimum(told[:, 0], len(clips))]
+        assert np.array_equal(plays[:, 0], np.where(now["clip"] < 0, NONE, now["clip"]).astype(np.uint16))
+        loops = np.array([*(name != "wave" for name in clips), False])[np.minimum(plays[:, 0], len(clips))]
         turns = np.where(loops, now["clip_turns"] % 1, np.minimum(now["clip_turns"], 1))
-        assert np.abs(told[:, 2] / 65535 - turns).max() < 2e-5
-        weights = told[:, 4:] / 65535
+        assert np.abs(plays[:, 2] / 65535 - turns).max() < 2e-5
+        weights = plays[:, 4:] / 65535
         assert np.abs(weights[:, 0] - walkers.now[f"{machine}.clip_weight"][rows] * (1 - now["clip_fade"])).max() < 2e-5
-        assert (weights[told[:, :2] == NONE] == 0).all()
-        playing |= {clips[each] for each in told[:, 0] if each != NONE}
+        assert (weights[plays[:, :2] == NONE] == 0).all()
+        playing |= {clips[each] for each in plays[:, 0] if each != NONE}
     assert playing >= {"walk", "run", "idle"}
     page.ask("seek", frame=30, exact=False)
-    dragged = {name for name in page.shown(30, light=True) if "/plays/" in name}
+    dragged = {name for name in page.frame_arrays(30, light=True) if "/plays/" in name}
     assert dragged == {"walker/plays/legs", "walker/plays/arms"}, "frames that were stepped while a page was open are kept posed"
 
 
@@ -73,12 +73,12 @@ def test_a_body_is_sent_once_and_again_when_it_is_another_one(live: Live, scene:
     assert header["machines"] == ["legs", "arms"] and header["joints"] == 13
     first = page.packets["rig:walker"]
     page.ask("step", count=3)
-    page.shown(4)
+    page.frame_arrays(4)
     assert page.packets["rig:walker"] is first
     body = scene.with_name("walker.json")
-    told = json.loads(body.read_text())
-    told["materials"]["skin"] = [0.1, 0.5, 0.1]
-    body.write_text(json.dumps(told))
+    definition = json.loads(body.read_text())
+    definition["materials"]["skin"] = [0.1, 0.5, 0.1]
+    body.write_text(json.dumps(definition))
     page.until(lambda: page.packets["rig:walker"] != first)
     _, other = unpack(page.packets["rig:walker"])
     assert not np.array_equal(arrays["fine/colour"], other["fine/colour"])
@@ -87,7 +87,7 @@ def test_a_body_is_sent_once_and_again_when_it_is_another_one(live: Live, scene:
     page.status(frame=5, hash=page.hash_at(5))
 
 
-def test_a_body_that_is_broken_is_told_at_its_place_and_the_old_one_stays(live: Live, scene: Path) -> None:
+def test_errors_in_a_body_are_located_and_the_old_body_stays(live: Live, scene: Path) -> None:
     page = Page(live)
     page.until(lambda: "rig:walker" in page.packets)
     first = page.packets["rig:walker"]
@@ -95,7 +95,7 @@ def test_a_body_that_is_broken_is_told_at_its_place_and_the_old_one_stays(live: 
     good = body.read_text()
     number = len(page.told)
     body.write_text(good.replace('"chest":["head"', '"chest":["heap"', 1))
-    said = page.told_after("problems", number)["problems"]
+    said = page.message_after("problems", number)["problems"]
     assert any("heap" in each["message"] or "head" in each["message"] for each in said), said
     assert {each["severity"] for each in said} == {"error"} and all(each["line"] > 0 for each in said)
     page.ask("step", count=2)

@@ -26,15 +26,15 @@ FILES = {"/": "index.html", "/index.html": "index.html", "/app.js": "app.js", "/
 
 def with_server(test: Callable[[Served], Awaitable[None]], **live: object) -> None:
     async def go() -> None:
-        async with served(**live) as made:
-            await test(made)
+        async with served(**live) as server:
+            await test(server)
 
     asyncio.run(go())
 
 
-async def still_well(made: Served) -> None:
+async def still_well(server: Served) -> None:
     """Whatever was done to the server, a page comes in and is answered."""
-    async with made.connect() as client:
+    async with server.connect() as client:
         assert json.loads(await client.recv())["op"] == "hello"
         await client.send('{"op": "pause"}')
         assert json.loads(await client.recv())["of"] == "pause"
@@ -43,13 +43,13 @@ async def still_well(made: Served) -> None:
 # --- the page ----------------------------------------------------------------------------------------------------------
 
 
-def test_the_page_is_served_with_a_policy_and_kept_by_nobody() -> None:
-    async def test(made: Served) -> None:
+def test_the_page_is_served_with_a_policy_and_is_not_cached() -> None:
+    async def test(server: Served) -> None:
         for path, name in FILES.items():
-            status, headers, body = await made.get(path)
+            status, headers, body = await server.get(path)
             assert status == 200
             if name == "index.html":
-                assert f'<meta name="build" content="{made.pages.build}" />'.encode() in body
+                assert f'<meta name="build" content="{server.pages.build}" />'.encode() in body
             else:
                 assert body == page_file(name).read_bytes()
             policy = headers["Content-Security-Policy"].split("; ")
@@ -72,9 +72,9 @@ def test_the_page_is_served_with_a_policy_and_kept_by_nobody() -> None:
     ],
 )  # fmt: skip
 def test_there_are_no_other_paths(path: str) -> None:
-    async def test(made: Served) -> None:
-        for each in (path, path.replace("127.0.0.1", f"127.0.0.1:{made.port}")):
-            status, headers, body = await made.get(each)
+    async def test(server: Served) -> None:
+        for each in (path, path.replace("127.0.0.1", f"127.0.0.1:{server.port}")):
+            status, headers, body = await server.get(each)
             assert (status, body) == (404, b"Not Found\n"), each
             assert headers["X-Content-Type-Options"] == "nosniff"
 
@@ -83,8 +83,8 @@ def test_there_are_no_other_paths(path: str) -> None:
 
 @pytest.mark.parametrize("method", ["POST", "PUT", "DELETE", "OPTIONS", "HEAD", "PATCH", "TRACE"])
 def test_a_page_can_only_be_got(method: str) -> None:
-    async def test(made: Served) -> None:
-        status, headers, _ = await made.get("/", f"Origin: {made.origin}", method=method)
+    async def test(server: Served) -> None:
+        status, headers, _ = await server.get("/", f"Origin: {server.origin}", method=method)
         assert status in (0, 400, 405)  # 0: earlier versions of websockets hang up
         assert not any(key.lower().startswith("access-control") for key in headers)
 
@@ -92,7 +92,7 @@ def test_a_page_can_only_be_got(method: str) -> None:
 
 
 def test_requests_that_are_none_get_no_page() -> None:
-    async def test(made: Served) -> None:
+    async def test(server: Served) -> None:
         for lines in (
             ["GET /"],
             ["GET / HTTP/3"],
@@ -101,12 +101,12 @@ def test_requests_that_are_none_get_no_page() -> None:
             [f"GET /{'a' * 100_000} HTTP/1.1"],
             ["GET / HTTP/1.1", "no"],
         ):
-            status, _, body = await made.say(*lines)
+            status, _, body = await server.say(*lines)
             assert status != 200 and b"<html" not in body, lines
         many = [f"X-{n}: {n}" for n in range(1000)]
-        status, _, body = await made.get("/", *many)
+        status, _, body = await server.get("/", *many)
         assert status != 200 and b"<html" not in body
-        await still_well(made)
+        await still_well(server)
 
     with_server(test)
 
@@ -117,89 +117,89 @@ def test_requests_that_are_none_get_no_page() -> None:
 def test_other_names_of_the_host_are_refused() -> None:
     """After DNS rebinding a foreign page has our address, and says its own name as the host; its origin is the same name."""
 
-    async def test(made: Served) -> None:
-        port, good = made.port, f"127.0.0.1:{made.port}"
+    async def test(server: Served) -> None:
+        port, good = server.port, f"127.0.0.1:{server.port}"
         for hosts in (
             ["evil.example"], [f"evil.example:{port}"], [f"localhost:{port + 1}"], ["localhost"], [f"localhost.:{port}"], [],
             [good, good], [f"{good}.evil.example"], [f"evil.example@{good}"], [f"127.0.0.2:{port}"], [f"0.0.0.0:{port}"],
             [f"127.1:{port}"], [f"[::ffff:127.0.0.1]:{port}"], [""],
         ):  # fmt: skip
             lines = [f"Host: {host}" for host in hosts]
-            status, _, body = await made.say("GET / HTTP/1.1", *lines)
+            status, _, body = await server.say("GET / HTTP/1.1", *lines)
             assert status in (0, 400, 403) and b"<html" not in body, hosts
-            assert await made.open_socket(hosts, [made.origin]) != 101, hosts
-            assert await made.open_socket(hosts, [f"http://{host}" for host in hosts]) != 101, hosts
+            assert await server.open_socket(hosts, [server.origin]) != 101, hosts
+            assert await server.open_socket(hosts, [f"http://{host}" for host in hosts]) != 101, hosts
         for host in (good, f"localhost:{port}", f"[::1]:{port}"):
-            assert (await made.say("GET / HTTP/1.1", f"Host: {host}"))[0] == 200
-            assert await made.open_socket([host], [f"http://{host}"]) == 101
-        assert made.live.joined <= 3
+            assert (await server.say("GET / HTTP/1.1", f"Host: {host}"))[0] == 200
+            assert await server.open_socket([host], [f"http://{host}"]) == 101
+        assert server.live.joined <= 3
 
     with_server(test)
 
 
 def test_pages_of_others_are_refused_though_they_have_the_token() -> None:
-    async def test(made: Served) -> None:
-        good = [f"127.0.0.1:{made.port}"]
+    async def test(server: Served) -> None:
+        good = [f"127.0.0.1:{server.port}"]
         for origins in (
-            ["http://evil.example"], ["null"], ["file://"], [f"https://127.0.0.1:{made.port}"],
-            [f"http://127.0.0.1:{made.port + 1}"], ["http://127.0.0.1"],
-            [f"http://evil.example:{made.port}"], [made.origin, made.origin], [made.origin, "null"], [""],
-            [made.origin + "/"], [f"127.0.0.1:{made.port}"], [f"http://http://127.0.0.1:{made.port}"], ["chrome-extension://abc"],
+            ["http://evil.example"], ["null"], ["file://"], [f"https://127.0.0.1:{server.port}"],
+            [f"http://127.0.0.1:{server.port + 1}"], ["http://127.0.0.1"],
+            [f"http://evil.example:{server.port}"], [server.origin, server.origin], [server.origin, "null"], [""],
+            [server.origin + "/"], [f"127.0.0.1:{server.port}"], [f"http://http://127.0.0.1:{server.port}"], ["chrome-extension://abc"],
         ):  # fmt: skip
-            assert await made.open_socket(good, origins) == 403, origins
+            assert await server.open_socket(good, origins) == 403, origins
             if len(origins) == 1:
-                assert (await made.get("/", f"Origin: {origins[0]}"))[0] == 403
-        assert made.live.joined == 0
-        assert await made.open_socket(good, []) == 101  # no browser: the token is what counts
-        assert await made.open_socket(good, [], ["antdsl.1", "token.wrong"]) == 403
-        assert await made.open_socket(good, [], ["antdsl.1"]) == 403
-        await still_well(made)
+                assert (await server.get("/", f"Origin: {origins[0]}"))[0] == 403
+        assert server.live.joined == 0
+        assert await server.open_socket(good, []) == 101  # no browser: the token is what counts
+        assert await server.open_socket(good, [], ["antdsl.1", "token.wrong"]) == 403
+        assert await server.open_socket(good, [], ["antdsl.1"]) == 403
+        await still_well(server)
 
     with_server(test)
 
 
-def test_a_wrong_token_is_told_and_nothing_else_is() -> None:
-    async def test(made: Served) -> None:
-        token = made.guard.token
+def test_a_wrong_token_is_reported_and_nothing_else() -> None:
+    async def test(server: Served) -> None:
+        token = server.guard.token
         assert len(token) >= 43  # 32 random bytes
         for protocols in (
             ["antdsl.1", "token.wrong"], ["antdsl.1", "token."], ["antdsl.1"], ["antdsl.1", f"token.{token[:-1]}"],
             ["antdsl.1", f"token.{token}x"], ["antdsl.1", f"token.{token}", "token.wrong"], ["antdsl.1", token],
             ["antdsl.1", f"token.{token.swapcase()}"],
         ):  # fmt: skip
-            async with made.connect(subprotocols=protocols) as client:
+            async with server.connect(subprotocols=protocols) as client:
                 with pytest.raises(ConnectionClosed):
                     await client.recv()
                 assert client.close_code == 1008, protocols
-        assert made.live.joined == 0 and not made.live.asks
-        await still_well(made)
+        assert server.live.joined == 0 and not server.live.asks
+        await still_well(server)
 
     with_server(test)
 
 
 def test_a_code_opens_once_and_is_changed_for_the_token() -> None:
-    async def test(made: Served) -> None:
-        code = made.guard.invite()
-        assert code != made.guard.token and code not in repr(made.guard)
-        good = [f"127.0.0.1:{made.port}"]
-        assert await made.open_socket(good, ["http://evil.example"], ["antdsl.1", f"token.{code}"]) == 403
+    async def test(server: Served) -> None:
+        code = server.guard.invite()
+        assert code != server.guard.token and code not in repr(server.guard)
+        good = [f"127.0.0.1:{server.port}"]
+        assert await server.open_socket(good, ["http://evil.example"], ["antdsl.1", f"token.{code}"]) == 403
         for round_ in range(2):
-            async with made.connect(subprotocols=["antdsl.1", f"token.{code}"]) as client:
+            async with server.connect(subprotocols=["antdsl.1", f"token.{code}"]) as client:
                 if round_ == 0:
-                    assert json.loads(await client.recv())["token"] == made.guard.token
+                    assert json.loads(await client.recv())["token"] == server.guard.token
                 else:
                     await client.wait_closed()
                     assert client.close_code == 1008
-        async with made.connect() as client:
+        async with server.connect() as client:
             assert "token" not in json.loads(await client.recv())
 
     with_server(test)
 
 
 def test_each_server_has_a_token_of_its_own() -> None:
-    async def test(made: Served) -> None:
+    async def test(server: Served) -> None:
         async with served() as other:
-            assert other.guard.token != made.guard.token and other.guard.token not in repr(other.guard)
+            assert other.guard.token != server.guard.token and other.guard.token not in repr(other.guard)
 
     with_server(test)
 
@@ -241,8 +241,8 @@ MESSAGES = {
 
 
 def test_messages_that_mean_nothing_are_refused_in_words_and_the_page_stays() -> None:
-    async def test(made: Served) -> None:
-        async with made.connect() as client:
+    async def test(server: Served) -> None:
+        async with server.connect() as client:
             await client.recv()
             for what, text in MESSAGES.items():
                 await client.send(text)
@@ -250,31 +250,31 @@ def test_messages_that_mean_nothing_are_refused_in_words_and_the_page_stays() ->
                 assert said["op"] == "refused", what
                 assert said["message"] and len(said["message"]) < 200 and "\n" not in said["message"], what
                 assert said["of"] in ("", "speed", "seek", "set", "explain", "step", "play", "look", "breaks"), what
-            assert not made.live.asks
+            assert not server.live.asks
             await client.send('{"op": "seek", "frame": -3, "exact": true}')  # a scene may begin before frame 0
             assert json.loads(await client.recv())["of"] == "seek"
-        await still_well(made)
+        await still_well(server)
 
     with_server(test)
 
 
 def test_markup_in_a_name_is_a_name() -> None:
-    async def test(made: Served) -> None:
-        async with made.connect() as client:
+    async def test(server: Served) -> None:
+        async with server.connect() as client:
             await client.recv()
             name = '</script><img src=x onerror="alert(1)">'
             await client.send(json.dumps({"op": "field", "name": name, "on": True}))
             assert json.loads(await client.recv())["of"] == "field"
-            assert made.live.asks[0].name == name  # type: ignore[union-attr]
+            assert server.live.asks[0].name == name  # type: ignore[union-attr]
             await client.send(json.dumps({"op": name}))
             assert name not in await client.recv()  # what is refused is not said again
 
     with_server(test)
 
 
-def test_who_is_asked_too_much_says_so() -> None:
-    async def test(made: Served) -> None:
-        async with made.connect() as client:
+def test_a_busy_server_says_so() -> None:
+    async def test(server: Served) -> None:
+        async with server.connect() as client:
             await client.recv()
             await client.send('{"op": "restart"}')
             said = json.loads(await client.recv())
@@ -305,24 +305,24 @@ FRAMES = {
 
 @pytest.mark.parametrize("what", FRAMES)
 def test_frames_out_of_order_end_their_own_connection_only(what: str) -> None:
-    async def test(made: Served) -> None:
+    async def test(server: Served) -> None:
         code, frames = FRAMES[what]
-        async with made.connect() as other, made.connect(ping_interval=None) as client:
+        async with server.connect() as other, server.connect(ping_interval=None) as client:
             await client.recv()
             assert await raw(client, *frames()) == code
-            assert not made.live.asks
+            assert not server.live.asks
             await other.send('{"op": "play"}')
             assert [json.loads(await other.recv())["op"] for _ in range(2)] == ["hello", "outcome"]
-        await still_well(made)
-        while made.live.clients:  # all that left were told of
+        await still_well(server)
+        while server.live.clients:  # all that left were told of
             await asyncio.sleep(0.01)
 
     with_server(test)
 
 
-def test_compression_is_not_spoken() -> None:
-    async def test(made: Served) -> None:
-        async with made.connect(compression="deflate") as client:
+def test_compression_is_refused() -> None:
+    async def test(server: Served) -> None:
+        async with server.connect(compression="deflate") as client:
             assert client.response is not None and "Sec-WebSocket-Extensions" not in client.response.headers
 
     with_server(test)
@@ -332,8 +332,8 @@ def test_compression_is_not_spoken() -> None:
 
 
 def test_who_asks_too_fast_loses_asks_and_then_the_connection() -> None:
-    async def test(made: Served) -> None:
-        async with made.connect(max_queue=None) as client:  # else who does not read hears of no end
+    async def test(server: Served) -> None:
+        async with server.connect(max_queue=None) as client:  # else who does not read hears of no end
             await client.recv()
             began = asyncio.get_running_loop().time()
             with pytest.raises(ConnectionClosed):
@@ -345,8 +345,8 @@ def test_who_asks_too_fast_loses_asks_and_then_the_connection() -> None:
                 await client.send("")
             took = asyncio.get_running_loop().time() - began
             assert client.close_code in (1006, 1013)
-            assert 0 < len(made.live.asks) <= limits.PREVIEW_ASKS_A_SECOND * (took + 2) + 1
-        await still_well(made)
+            assert 0 < len(server.live.asks) <= limits.PREVIEW_ASKS_A_SECOND * (took + 2) + 1
+        await still_well(server)
 
     with_server(test)
 
@@ -354,8 +354,8 @@ def test_who_asks_too_fast_loses_asks_and_then_the_connection() -> None:
 def test_who_asks_too_much_all_the_time_has_to_go_as_well() -> None:
     """Though every so often an ask is in order."""
 
-    async def test(made: Served) -> None:
-        async with made.connect(max_queue=None) as client:
+    async def test(server: Served) -> None:
+        async with server.connect(max_queue=None) as client:
             with pytest.raises(ConnectionClosed):
                 while True:
                     for _ in range(5):
@@ -367,15 +367,15 @@ def test_who_asks_too_much_all_the_time_has_to_go_as_well() -> None:
                     said.append(json.loads(await client.recv()))
             assert client.close_code == 1013
             assert 1 <= sum(each["op"] == "refused" for each in said) <= 5
-            assert len(said) - 10 < len(made.live.asks)
-        await still_well(made)
+            assert len(said) - 10 < len(server.live.asks)
+        await still_well(server)
 
     with_server(test)
 
 
 def test_a_slider_that_is_dragged_is_not_too_fast() -> None:
-    async def test(made: Served) -> None:
-        async with made.connect() as client:
+    async def test(server: Served) -> None:
+        async with server.connect() as client:
             await client.recv()
             for _ in range(200):
                 await client.send('{"op": "set", "name": "a.b", "value": "1 mm"}')
@@ -385,49 +385,49 @@ def test_a_slider_that_is_dragged_is_not_too_fast() -> None:
 
 
 def test_sixteen_pages_look_on_and_the_next_has_to_wait() -> None:
-    async def test(made: Served) -> None:
-        clients = [await made.connect() for _ in range(limits.PREVIEW_CLIENTS)]
+    async def test(server: Served) -> None:
+        clients = [await server.connect() for _ in range(limits.PREVIEW_CLIENTS)]
         for client in clients:
             await client.recv()
-        async with made.connect() as late:
+        async with server.connect() as late:
             await late.wait_closed()
             assert late.close_code == 1013
         await clients[0].close()
-        await still_well(made)
+        await still_well(server)
         for client in clients[1:]:
             await client.close()
 
     with_server(test)
 
 
-def test_ten_thousand_connections_that_say_nothing_keep_nobody_out() -> None:
-    async def test(made: Served) -> None:
-        async with made.connect() as first:
+def test_ten_thousand_silent_connections_keep_no_page_out() -> None:
+    async def test(server: Served) -> None:
+        async with server.connect() as first:
             await first.recv()
             held: list[socket.socket] = []
             for count in range(10_000):
-                held.append(socket.create_connection(("127.0.0.1", made.port)))
+                held.append(socket.create_connection(("127.0.0.1", server.port)))
                 if count % 50 == 0:
                     await asyncio.sleep(0)
                 if len(held) > 400:
                     held.pop(0).close()
-            status, _, _ = await made.get("/")
+            status, _, _ = await server.get("/")
             assert status == 200
-            await still_well(made)
+            await still_well(server)
             await first.send('{"op": "play"}')
             assert json.loads(await first.recv())["of"] == "play"
-            gone = 0
+            closed_count = 0
             for each in held:
                 each.settimeout(0.01)
                 try:
-                    gone += each.recv(1) == b""
+                    closed_count += each.recv(1) == b""
                 except TimeoutError:
                     continue
                 except ConnectionResetError:
-                    gone += 1
+                    closed_count += 1
                 finally:
                     each.close()
-            assert gone >= len(held) - limits.PREVIEW_STRANGERS
+            assert closed_count >= len(held) - limits.PREVIEW_STRANGERS
 
     with_server(test)
 
@@ -435,8 +435,8 @@ def test_ten_thousand_connections_that_say_nothing_keep_nobody_out() -> None:
 def test_a_request_that_takes_for_ever_is_cut_off(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(serving, "_OPEN", 0.4)
 
-    async def test(made: Served) -> None:
-        reader, writer = await asyncio.open_connection("127.0.0.1", made.port)
+    async def test(server: Served) -> None:
+        reader, writer = await asyncio.open_connection("127.0.0.1", server.port)
         began = asyncio.get_running_loop().time()
         with pytest.raises(ConnectionError):
             writer.write(b"GET / HTTP/1.1\r\nX: ")
@@ -446,25 +446,25 @@ def test_a_request_that_takes_for_ever_is_cut_off(monkeypatch: pytest.MonkeyPatc
                 await asyncio.sleep(0.02)
             raise ConnectionResetError
         assert asyncio.get_running_loop().time() - began < SECONDS / 4
-        await still_well(made)
+        await still_well(server)
 
     with_server(test)
 
 
 def test_only_this_machine_is_heard() -> None:
-    async def test(made: Served) -> None:
-        for each in made.listening.sockets:
+    async def test(server: Served) -> None:
+        for each in server.listening.sockets:
             assert ip_address(each.getsockname()[0]).is_loopback
-        assert made.guard.names == {f"{name}:{made.port}" for name in ("localhost", "127.0.0.1", "[::1]")}
+        assert server.guard.names == {f"{name}:{server.port}" for name in ("localhost", "127.0.0.1", "[::1]")}
 
     with_server(test)
 
 
 def test_a_slow_page_gets_the_latest_packet_of_each_slot_and_every_message() -> None:
-    async def test(made: Served) -> None:
-        async with made.connect(max_size=None, max_queue=1) as client:
+    async def test(server: Served) -> None:
+        async with server.connect(max_size=None, max_queue=1) as client:
             await client.recv()
-            mailbox = made.live.clients[0]
+            mailbox = server.live.clients[0]
             for number in range(300):
                 mailbox.show("frame", number.to_bytes(4, "little") * 250_000)
                 if number % 10 == 0:
@@ -486,19 +486,19 @@ def test_a_slow_page_gets_the_latest_packet_of_each_slot_and_every_message() -> 
 def test_a_page_that_takes_nothing_is_let_go_and_may_come_back(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(serving, "_CLOSE", 0.3)
 
-    async def test(made: Served) -> None:
-        client = await made.connect(max_size=None, max_queue=1, ping_interval=None)
+    async def test(server: Served) -> None:
+        client = await server.connect(max_size=None, max_queue=1, ping_interval=None)
         client.transport.pause_reading()
-        while not made.live.clients:
+        while not server.live.clients:
             await asyncio.sleep(0.01)
-        mailbox = made.live.clients[0]
+        mailbox = server.live.clients[0]
         text = "x" * (1 << 20)
         for _ in range(60):
             mailbox.tell({"op": "texts", "text": text})
             await asyncio.sleep(0.001)
-        while made.live.clients:
+        while server.live.clients:
             await asyncio.sleep(0.01)
-        await still_well(made)
+        await still_well(server)
         client.transport.abort()
 
     with_server(test)
@@ -508,14 +508,14 @@ def test_a_page_that_takes_nothing_is_let_go_and_may_come_back(monkeypatch: pyte
 def test_a_page_that_sleeps_is_given_up_and_keeps_no_server_from_ending(monkeypatch: pytest.MonkeyPatch, seconds: str) -> None:
     monkeypatch.setattr(serving, seconds, 0.3)
 
-    async def test(made: Served) -> None:
-        client = await made.connect(max_size=None, max_queue=1, ping_interval=None)
+    async def test(server: Served) -> None:
+        client = await server.connect(max_size=None, max_queue=1, ping_interval=None)
         client.transport.pause_reading()
-        while not made.live.clients:
+        while not server.live.clients:
             await asyncio.sleep(0.01)
-        made.live.clients[0].show("mesh", bytes(20 << 20))
+        server.live.clients[0].show("mesh", bytes(20 << 20))
         await asyncio.sleep(0.05)
-        while seconds == "_STUCK" and made.live.clients:
+        while seconds == "_STUCK" and server.live.clients:
             await asyncio.sleep(0.01)
 
     with_server(test)

@@ -9,12 +9,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 from digging_shots import folder as digging
-from live_client import EXAMPLES, Page, hashes, places
+from live_client import EXAMPLES, Page, agent_positions, hashes
 from preview_page import few
 
 from antdsl.preview import Live, Session
 from antdsl.preview.binary_packets import unpack
-from antdsl.preview.viewing.agents import felt
+from antdsl.preview.viewing.agents import feeler_arrays
 
 
 @pytest.fixture
@@ -35,7 +35,7 @@ def test_a_frame_shows_what_the_session_holds(live: Live, scene: Path) -> None:
     page = Page(live)
     page.ask("look", columns=({"species": "forager", "name": "max_speed"},), fields=("trail",), follow=None)
     page.ask("step", count=20)
-    arrays = page.shown(21)
+    arrays = page.frame_arrays(21)
     session, _ = Session.open(scene)
     assert session is not None
     for _ in range(20):
@@ -43,7 +43,7 @@ def test_a_frame_shows_what_the_session_holds(live: Live, scene: Path) -> None:
     ants = session.world.populations["forager"]
     assert list(arrays["forager/id"]) == sorted(ants.ids)
     rows = ants.in_id_order()
-    assert np.array_equal(places(arrays, "forager"), ants.position[rows].astype(np.float32))
+    assert np.array_equal(agent_positions(arrays, "forager"), ants.position[rows].astype(np.float32))
     assert np.allclose(arrays["forager/heading"].reshape(-1, 3) / 127, ants.vector("heading")[rows], atol=0.004)
     assert np.array_equal(arrays["forager/state/main"], ants.now["main.state"][rows])
     assert np.allclose(arrays["forager/speed"], np.linalg.norm(ants.vector("velocity"), axis=1)[rows], rtol=1e-5)
@@ -55,18 +55,18 @@ def test_a_frame_shows_what_the_session_holds(live: Live, scene: Path) -> None:
 def test_a_light_frame_shows_turned_bodies_and_simulates_nothing(live: Live) -> None:
     page = Page(live)
     page.ask("step", count=9)
-    exact = page.shown(10)
+    exact = page.frame_arrays(10)
     page.ask("step", count=5)
-    page.shown(15)
+    page.frame_arrays(15)
     page.ask("seek", frame=10, exact=False)
-    light = page.shown(10, light=True)
+    light = page.frame_arrays(10, light=True)
     assert page.status(frame=10, light=True)["hash"] is None
     for name, array in light.items():
         assert np.array_equal(array, exact[name]), name
     assert {"forager/heading", "forager/up", "forager/size", "forager/state/main"} <= light.keys()
     assert {"forager/plays/main", "forager/wears"} <= light.keys(), "bodies are posed as they were then"
     page.ask("step")
-    page.shown(11)
+    page.frame_arrays(11)
     assert page.status(frame=11, light=False)["head"] == 15
 
 
@@ -77,23 +77,23 @@ def test_solids_come_in_pieces_and_are_whole_again_after_going_back(tmp_path: Pa
     try:
         page = Page(live)
         page.ask("look", columns=(), fields=(), flows=(), solids=True, follow=None)
-        page.shown(1)
-        whole = pieces(page)
-        assert whole and all(len(faces) for _, _, faces in whole.values())
-        for slot, (places, normals, faces) in whole.items():
+        page.frame_arrays(1)
+        initial_pieces = pieces(page)
+        assert initial_pieces and all(len(faces) for _, _, faces in initial_pieces.values())
+        for slot, (positions, normals, faces) in initial_pieces.items():
             assert np.allclose(np.linalg.norm(normals, axis=1), 1, atol=0.01), slot
-            assert faces.max() < len(places)
-            a, b, c = (places[faces[:, k]] for k in range(3))
+            assert faces.max() < len(positions)
+            a, b, c = (positions[faces[:, k]] for k in range(3))
             out = np.cross(b - a, c - a)
             assert (np.einsum("nk,nk->n", out, normals[faces[:, 0]]) > 0).mean() > 0.98, "both say which side the air is on"
         page.ask("step", count=30)
         expected = page.hash_at(31)
-        page.shown(31)
-        dug = page.until(lambda: changed(whole, pieces(page)))
-        assert dug < set(pieces(page)) | set(whole), "most of the hill is as it was, and not sent again"
+        page.frame_arrays(31)
+        dug = page.until(lambda: changed(initial_pieces, pieces(page)))
+        assert dug < set(pieces(page)) | set(initial_pieces), "most of the hill is as it was, and not sent again"
         page.ask("seek", frame=1, exact=True)
-        page.shown(1)
-        page.until(lambda: not changed(whole, pieces(page)))
+        page.frame_arrays(1)
+        page.until(lambda: not changed(initial_pieces, pieces(page)))
         page.ask("seek", frame=31, exact=True)
         assert page.hash_at(31) == expected
         assert expected == hashes(scene, 31)[31]
@@ -106,21 +106,21 @@ Shape = tuple[np.ndarray, np.ndarray, np.ndarray]
 
 def pieces(page: Page) -> dict[str, Shape]:
     """The pieces of solids that a page has, with places, normals and faces."""
-    found = {}
+    shapes = {}
     for slot, packet in dict(page.packets).items():
         if slot.startswith("solid:"):
             _, arrays = unpack(packet)
-            found[slot] = tuple(arrays[name].reshape(-1, 3) for name in ("position", "normal", "face"))
-    return found  # type: ignore[return-value]
+            shapes[slot] = tuple(arrays[name].reshape(-1, 3) for name in ("position", "normal", "face"))
+    return shapes  # type: ignore[return-value]
 
 
-def changed(before: dict[str, Shape], now: dict[str, Shape]) -> set[str]:
+def changed(old_pieces: dict[str, Shape], now: dict[str, Shape]) -> set[str]:
     """Which pieces look other than before."""
     nothing = (np.empty((0, 3)),) * 3
     return {
         slot
-        for slot in before.keys() | now.keys()
-        if not all(np.array_equal(a, b) for a, b in zip(before.get(slot, nothing), now.get(slot, nothing), strict=True))
+        for slot in old_pieces.keys() | now.keys()
+        if not all(np.array_equal(a, b) for a, b in zip(old_pieces.get(slot, nothing), now.get(slot, nothing), strict=True))
     }
 
 
@@ -131,17 +131,17 @@ def test_a_field_is_shown_on_its_ground(live: Live) -> None:
     page.status(frame=61)
     page.until(lambda: unpack(page.packets["field:trail"])[0]["frame"] == 61)
     _, mesh = unpack(page.packets["fieldmesh:trail"])
-    header, shown = unpack(page.packets["field:trail"])
+    header, field_arrays = unpack(page.packets["field:trail"])
     world = live.session.world  # it stands still
     cells, values = world.fields["trail"].cells.position, world.fields["trail"].values
-    places = mesh["position"].reshape(-1, 3)
-    assert len(shown["value"]) == len(places) and mesh["face"].max() < len(places)
+    positions = mesh["position"].reshape(-1, 3)
+    assert len(field_arrays["value"]) == len(positions) and mesh["face"].max() < len(positions)
     assert "full" not in header  # one scale for all frames
     strong = cells[values > np.percentile(values[values > 0], 90)]
     weak = cells[values == 0]
-    level = np.where(shown["value"] > 0, 1e-8 * 10 ** ((shown["value"] - 1.0) * 16 / 254), 0)
-    near_strong = level[[np.linalg.norm(places - place, axis=1).argmin() for place in strong[:20]]]
-    near_weak = level[[np.linalg.norm(places - place, axis=1).argmin() for place in weak[:: len(weak) // 50]]]
+    level = np.where(field_arrays["value"] > 0, 1e-8 * 10 ** ((field_arrays["value"] - 1.0) * 16 / 254), 0)
+    near_strong = level[[np.linalg.norm(positions - place, axis=1).argmin() for place in strong[:20]]]
+    near_weak = level[[np.linalg.norm(positions - place, axis=1).argmin() for place in weak[:: len(weak) // 50]]]
     assert near_strong.mean() > values[values > 0].mean() / 2 and np.median(near_weak) == 0
     packet = page.packets["field:trail"]
     page.ask("step", count=80)  # until there is much more scent
@@ -152,14 +152,14 @@ def test_a_field_is_shown_on_its_ground(live: Live) -> None:
     assert page.packets["field:trail"] == packet, "the same frame is the same picture"
 
 
-def test_curves_grow_and_a_branch_is_kept_beside(live: Live, scene: Path) -> None:
+def test_curves_grow_and_a_branch_is_stored_beside_them(live: Live, scene: Path) -> None:
     page = Page(live)
     page.ask("step", count=30)
     page.status(frame=31)
     assert joined_curves(page)[0] == list(range(1, 32))
     page.ask("seek", frame=10, exact=True)
     page.status(frame=10)
-    assert page.done("set", name="forager.smell", value="90 mm")["ok"]
+    assert page.ask_and_wait("set", name="forager.smell", value="90 mm")["ok"]
     page.ask("step", count=3)
     page.status(frame=13)
     page.until(lambda: joined_curves(page)[0] == list(range(1, 14)))
@@ -196,12 +196,14 @@ def test_what_moves_is_shown_where_it_is(live: Live, scene: Path) -> None:
     ))  # fmt: skip
     page = Page(live)
     page.until(lambda: "mesh:stones" in page.packets and unpack(page.packets["mesh:stones"])[0]["moves"])
-    before = unpack(page.packets["mesh:stones"])[1]["position"].reshape(-1, 3)
+    initial_positions = unpack(page.packets["mesh:stones"])[1]["position"].reshape(-1, 3)
     ground = page.packets["mesh:ground"]
     page.ask("step", count=4)
-    page.shown(5)
+    page.frame_arrays(5)
     page.until(
-        lambda: np.allclose(unpack(page.packets["mesh:stones"])[1]["position"].reshape(-1, 3) - before, (20, 0, 0), atol=0.01)
+        lambda: np.allclose(
+            unpack(page.packets["mesh:stones"])[1]["position"].reshape(-1, 3) - initial_positions, (20, 0, 0), atol=0.01
+        )
     )
     assert page.packets["mesh:ground"] is ground, "what stands still is not sent again"
 
@@ -224,10 +226,10 @@ def test_feelers_of_who_is_followed_end_where_they_hit(live: Live) -> None:
     page = Page(live)
     page.ask("look", columns=[], fields=[], flows=[], follow={"species": "forager", "agent": 3})
     page.ask("step", count=3)
-    arrays = page.shown(4)
+    arrays = page.frame_arrays(4)
     lines, hit = arrays["feelers"].reshape(-1, 2, 3), arrays["feelers/hit"]
     row = list(arrays["forager/id"]).index(3)
-    assert len(lines) == 3 and np.allclose(lines[:, 0], places(arrays, "forager")[row], atol=1e-3)
+    assert len(lines) == 3 and np.allclose(lines[:, 0], agent_positions(arrays, "forager")[row], atol=1e-3)
     reach = np.linalg.norm(lines[:, 1] - lines[:, 0], axis=1)
     assert np.allclose(reach[hit == 0], 1.5 * arrays["forager/size"][row], rtol=1e-3)
     # one that faces a wall a body ahead: the same agent, put before the stones, is asked for directly
@@ -235,10 +237,10 @@ def test_feelers_of_who_is_followed_end_where_they_hit(live: Live) -> None:
     stones = live.session.world.setting.obstacles["stones"].vertices - live.session.world.origin
     at = int(population.rows_of(np.array([3]))[0])
     population.position[at] = stones[0] - 2.0 * population.vector("heading")[at]
-    found = felt(live.session.world, live.session.shot.program, "forager", 3)
-    assert found["feelers/hit"].any()
-    met = np.linalg.norm(np.diff(found["feelers"].reshape(-1, 2, 3), axis=1)[:, 0], axis=1)
-    assert (met[found["feelers/hit"] == 1] < 1.5 * arrays["forager/size"][row]).all()
+    feelers = feeler_arrays(live.session.world, live.session.shot.program, "forager", 3)
+    assert feelers["feelers/hit"].any()
+    lengths = np.linalg.norm(np.diff(feelers["feelers"].reshape(-1, 2, 3), axis=1)[:, 0], axis=1)
+    assert (lengths[feelers["feelers/hit"] == 1] < 1.5 * arrays["forager/size"][row]).all()
 
 
 def test_a_field_goes_with_ground_that_moves(live: Live, scene: Path) -> None:
@@ -250,7 +252,7 @@ def test_a_field_goes_with_ground_that_moves(live: Live, scene: Path) -> None:
     page.ask("look", columns=[], fields=["trail"], flows=[], follow=None)
     page.until(lambda: "mesh:boulder" in page.packets and unpack(page.packets["mesh:boulder"])[0]["moves"])
     page.ask("step", count=10)
-    page.shown(11)
+    page.frame_arrays(11)
     page.until(lambda: unpack(page.packets["field:trail"])[0]["frame"] == 11)
     field = unpack(page.packets["fieldmesh:trail"])[1]["position"].reshape(-1, 3)
     for name in ("ground", "boulder"):
@@ -261,7 +263,7 @@ def test_a_field_goes_with_ground_that_moves(live: Live, scene: Path) -> None:
 @pytest.mark.parametrize(
     "example", ["thesis/base.yaml", "tunnel/led.yaml", "minimal/scene.yaml", "alarm/scene.yaml", "flow/scene.yaml"]
 )
-def test_all_that_a_scene_has_is_told_and_shown(example: str) -> None:
+def test_everything_in_a_scene_is_sent_and_shown(example: str) -> None:
     live = Live.open(EXAMPLES / example, watch=False)
     live.start()
     try:
@@ -273,15 +275,15 @@ def test_all_that_a_scene_has_is_told_and_shown(example: str) -> None:
         follow = {"species": scene["species"][0]["name"], "agent": 1}
         page.ask("look", columns=columns, fields=fields, flows=scene["flows"], follow=follow)
         page.ask("step", count=3)
-        arrays = page.shown(first + 3)
+        arrays = page.frame_arrays(first + 3)
         page.hash_at(first + 3)
         json.dumps(page.told, allow_nan=False)
         assert not [message for message in page.told if message["op"] == "refused"]
         for each in columns:
             assert np.isfinite(arrays[f"{each['species']}/column/{each['name']}"]).all() or each["name"] == "max_turn"
-        wanted = {f"field:{name}" for name in fields} | {f"flow:{name}" for name in scene["flows"]}
-        wanted |= {f"curve:{name}" for name in scene["curves"]} | {f"rig:{each['name']}" for each in scene["species"]}
-        page.until(lambda: wanted <= page.packets.keys())
+        expected_slots = {f"field:{name}" for name in fields} | {f"flow:{name}" for name in scene["flows"]}
+        expected_slots |= {f"curve:{name}" for name in scene["curves"]} | {f"rig:{each['name']}" for each in scene["species"]}
+        page.until(lambda: expected_slots <= page.packets.keys())
         for param in scene["params"]:
             assert param["low"] is None or param["low"] <= param["number"] <= param["high"], param
     finally:

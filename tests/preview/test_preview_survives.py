@@ -42,10 +42,10 @@ def folder(tmp_path: Path) -> Path:
 
 @pytest.fixture
 def live(folder: Path) -> Iterator[Live]:
-    made = Live.open(folder / "scene.yaml")
-    made.start()
-    yield made
-    made.stop()
+    opened_live = Live.open(folder / "scene.yaml")
+    opened_live.start()
+    yield opened_live
+    opened_live.stop()
 
 
 def aliases(levels: int) -> bytes:
@@ -80,10 +80,12 @@ def test_whatever_is_saved_the_last_good_program_runs_on(live: Live, folder: Pat
     frame = page.status(frame=1)["frame"]
     good = (folder / name).read_bytes()
     for number, (kind, data) in enumerate(DAMAGE.items()):
-        began, before = process_time(), sum(each["op"] == "outcome" for each in page.told)
+        began, outcome_count = process_time(), sum(each["op"] == "outcome" for each in page.told)
         (folder / name).write_bytes(data)
         outcome = page.until(
-            lambda before=before: sum(each["op"] == "outcome" for each in page.told) > before and page.last("outcome")
+            lambda outcome_count=outcome_count: (
+                sum(each["op"] == "outcome" for each in page.told) > outcome_count and page.last("outcome")
+            )
         )
         assert not outcome["ok"] and outcome["problems"], kind
         assert process_time() - began < 5, kind
@@ -99,7 +101,7 @@ def test_whatever_is_saved_the_last_good_program_runs_on(live: Live, folder: Pat
     assert not (folder / "pwned").exists()
 
 
-def test_a_scene_whose_folder_is_gone_and_comes_back_goes_on(live: Live, folder: Path) -> None:
+def test_a_scene_continues_when_its_folder_returns(live: Live, folder: Path) -> None:
     page = Page(live)
     page.status(frame=1)
     folder.rename(folder.with_name("elsewhere"))
@@ -117,46 +119,46 @@ def with_live(live: Live, test: Callable[[Served], Awaitable[None]]) -> None:
     async def served():  # type: ignore[no-untyped-def]
         listening = listen(port=0)
         guard = Guard(listening.names)
-        made = Served(live, guard, pages(), listening)  # type: ignore[arg-type]
-        async with asyncio.timeout(SECONDS), Server(live, guard, made.pages, listening).running():
-            yield made
+        server = Served(live, guard, pages(), listening)  # type: ignore[arg-type]
+        async with asyncio.timeout(SECONDS), Server(live, guard, server.pages, listening).running():
+            yield server
 
     async def run() -> None:
-        async with served() as made:
-            await test(made)
+        async with served() as server:
+            await test(server)
 
     asyncio.run(run())
 
 
 async def frames(client: ClientConnection, count: int) -> list[int]:
     """The numbers of so many frames that a page is shown."""
-    found: list[int] = []
-    while len(found) < count:
+    numbers: list[int] = []
+    while len(numbers) < count:
         got = await client.recv()
         if isinstance(got, bytes):
             header, _ = unpack(got)
             if header["slot"] == "frame":
-                found.append(header["frame"])
-    return found
+                numbers.append(header["frame"])
+    return numbers
 
 
-async def looks_on(made: Served) -> list[int]:
+async def looks_on(server: Served) -> list[int]:
     """A page comes, hears all it has to and sees the ants go on."""
-    async with made.connect(max_size=None, max_queue=None) as client:
+    async with server.connect(max_size=None, max_queue=None) as client:
         ops: set[str] = set()
         while not {"hello", "scene", "texts", "status"} <= ops:
             got = await client.recv()
             ops |= {json.loads(got)["op"]} if isinstance(got, str) else set()
         await client.send('{"op": "speed", "times": 0}')
         await client.send('{"op": "play"}')
-        seen = await frames(client, 4)
-        assert seen == sorted(seen) and seen[-1] > seen[0]
-        return seen
+        frame_numbers = await frames(client, 4)
+        assert frame_numbers == sorted(frame_numbers) and frame_numbers[-1] > frame_numbers[0]
+        return frame_numbers
 
 
 def test_after_a_flood_pages_come_back_and_the_ants_go_on(live: Live) -> None:
-    async def flood(made: Served) -> None:
-        async with made.connect(max_size=None, max_queue=None) as client:
+    async def flood(server: Served) -> None:
+        async with server.connect(max_size=None, max_queue=None) as client:
             with suppress(ConnectionClosed):
                 for _ in range(40):
                     for _ in range(200):
@@ -165,30 +167,30 @@ def test_after_a_flood_pages_come_back_and_the_ants_go_on(live: Live) -> None:
                 await client.wait_closed()
             assert client.close_code in (1006, 1013)
 
-    async def test(made: Served) -> None:
+    async def test(server: Served) -> None:
         last = 0
         for _ in range(3):
-            await asyncio.gather(*(flood(made) for _ in range(4)))
-            seen = await looks_on(made)
-            assert seen[-1] > last
-            last = seen[-1]
+            await asyncio.gather(*(flood(server) for _ in range(4)))
+            frame_numbers = await looks_on(server)
+            assert frame_numbers[-1] > last
+            last = frame_numbers[-1]
         while live.clients:
             await asyncio.sleep(0.01)
 
     with_live(live, test)
 
 
-def test_pages_that_read_nothing_hold_up_nobody_and_may_come_back(live: Live) -> None:
-    async def test(made: Served) -> None:
-        asleep = [await made.connect(max_size=None, max_queue=1, ping_interval=None) for _ in range(8)]
+def test_pages_that_read_nothing_do_not_hold_up_others_and_may_return(live: Live) -> None:
+    async def test(server: Served) -> None:
+        asleep = [await server.connect(max_size=None, max_queue=1, ping_interval=None) for _ in range(8)]
         for client in asleep:
             client.transport.pause_reading()
-        first = await looks_on(made)
-        second = await looks_on(made)
+        first = await looks_on(server)
+        second = await looks_on(server)
         assert second[-1] > first[-1]
         for client in asleep:
             client.transport.abort()
-        again = [await made.connect(max_size=None) for _ in range(8)]
+        again = [await server.connect(max_size=None) for _ in range(8)]
         for client in again:
             assert json.loads(await client.recv())["op"] == "hello"
             await client.close()

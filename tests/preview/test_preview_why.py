@@ -49,19 +49,19 @@ def test_what_is_explained_is_what_happened_however_it_was_edited(
     name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     notes = watched(name, 20, 4, tmp_path, monkeypatch)
-    before = notes.session.hash
+    initial_hash = notes.session.hash
     assert len(notes.session.timeline.stretches) == 3
     assert notes.explained_otherwise(20) == {}
-    assert notes.session.hash == before
+    assert notes.session.hash == initial_hash
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["foraging", "flocking", "moods", "alarm"])
 def test_what_is_explained_is_what_happened_a_thousand_times(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     notes = watched(name, 100, 5, tmp_path, monkeypatch)
-    before = notes.session.hash
+    initial_hash = notes.session.hash
     assert notes.explained_otherwise(250) == {}
-    assert notes.session.hash == before
+    assert notes.session.hash == initial_hash
 
 
 @pytest.fixture
@@ -72,20 +72,20 @@ def live(tmp_path: Path) -> Iterator[Live]:
     live.stop()
 
 
-def test_a_page_that_asks_is_told_why(live: Live, tmp_path: Path) -> None:
+def test_a_page_that_asks_receives_the_reason(live: Live, tmp_path: Path) -> None:
     page = Page(live)
     page.ask("step", count=8)
     hash = page.status(frame=9, playing=False)["hash"]
     page.ask("explain", species="forager", agent=3, frame=9)
-    told = page.until(lambda: page.last("explained"))
-    assert (told["agent"], told["frame"], told["message"]) == (3, 9, "")
-    explanation = told["explanation"]
+    answer = page.until(lambda: page.last("explained"))
+    assert (answer["agent"], answer["frame"], answer["message"]) == (3, 9, "")
+    explanation = answer["explanation"]
     assert explanation["hash"] == hash
     assert explanation["strip"] == [{"machine": "main", "state": "search", "first": 1, "last": 9}]
     assert explanation["layers"][0]["place"]["file"] == "forager.ant"
-    assert str(tmp_path) not in json.dumps(told)  # a page never hears of this machine's folders
-    assert told["told"].startswith("forager 3, the step to frame 9 of scene.yaml\n")
-    assert len(told["place"]) == 3
+    assert str(tmp_path) not in json.dumps(answer)  # a page never hears of this machine's folders
+    assert answer["told"].startswith("forager 3, the step to frame 9 of scene.yaml\n")
+    assert len(answer["place"]) == 3
     assert page.status(frame=9)["hash"] == hash
 
 
@@ -103,6 +103,6 @@ def test_what_cannot_be_explained_is_said(live: Live, ask: dict[str, Any], messa
     page.ask("step", count=3)
     page.status(frame=4, playing=False)
     page.ask("explain", **ask)
-    told = page.until(lambda: page.last("explained"))
-    assert told["message"].startswith(message)
-    assert (told["explanation"], told["place"]) == (None, None)
+    answer = page.until(lambda: page.last("explained"))
+    assert answer["message"].startswith(message)
+    assert (answer["explanation"], answer["place"]) == (None, None)

@@ -65,17 +65,17 @@ def test_every_frame_can_be_gone_back_to(shot: Path) -> None:
 
 def test_going_back_crosses_edits(shot: Path) -> None:
     session = opened(shot, every=5)
-    before = go(session, 12)
+    old_hashes = go(session, 12)
     edit(shot, "30 mm/s", "45 mm/s")
     outcome = session.reload()
     assert outcome.line == "kept 40 agents · `max_speed` is as written now"
-    after = go(session, 10)
+    new_hashes = go(session, 10)
     for frame in (22, 4, 13, 12, 17, 2):
         session.seek(frame)
-        assert session.hash == (after if frame >= 13 else before)[frame]
+        assert session.hash == (new_hashes if frame >= 13 else old_hashes)[frame]
     for frame in range(3, 20):  # and played through
         session.step()
-        assert session.hash == (after if frame >= 13 else before)[frame]
+        assert session.hash == (new_hashes if frame >= 13 else old_hashes)[frame]
 
 
 def test_an_edit_at_an_earlier_frame_begins_a_branch(shot: Path) -> None:
@@ -196,30 +196,30 @@ def test_what_was_lost_by_an_edit_does_not_come_back_by_undoing_it(shot: Path) -
     assert session.edited and session.hash != fresh(shot, session)
 
 
-def test_what_was_edited_is_told(shot: Path) -> None:
+def test_edits_are_described(shot: Path) -> None:
     session = opened(shot)
     go(session, 2)
-    done = session.set("forager.smell", "60 mm")
-    assert (done.did, done.line) == ("`forager.smell` is 60 mm", "from the next frame on")
+    outcome = session.set("forager.smell", "60 mm")
+    assert (outcome.did, outcome.line) == ("`forager.smell` is 60 mm", "from the next frame on")
     assert session.field("trail", on=False).did == "field `trail` holds no scent"
     session.restart()
     edit(shot, "  state search ", "  state idle gray { when after 1 s -> search }\n  state search ")
-    done = session.reload()
-    assert done.did.startswith("forager.ant line ") and "`idle` is a new state" in done.line
+    outcome = session.reload()
+    assert outcome.did.startswith("forager.ant line ") and "`idle` is a new state" in outcome.line
     edit(shot, "  state idle gray { when after 1 s -> search }\n", "")
-    done = session.reload()
-    assert done.did.startswith("forager.ant: 1 line gone after line ") and "`idle` is a state no more" in done.line
+    outcome = session.reload()
+    assert outcome.did.startswith("forager.ant: 1 line gone after line ") and "`idle` is a state no more" in outcome.line
     edit(shot, "ant 1\n", "ant 1\n# a comment\n")
     assert session.reload().did == "forager.ant line 2"
     scene = shot.read_text()
     shot.write_text(scene.replace("frames: 1..960", "frames: 1..30"))
-    done = session.reload()
-    assert (done.did, done.line) == ("scene.yaml line 6", "the run stays as it is")
+    outcome = session.reload()
+    assert (outcome.did, outcome.line) == ("scene.yaml line 6", "the run stays as it is")
     assert session.shot.frames.last == 30
     assert session.reload().line == "nothing has changed"
 
 
-def test_a_run_that_is_simulated_again_is_kept_as_a_branch(shot: Path) -> None:
+def test_a_run_that_is_simulated_again_is_stored_as_a_branch(shot: Path) -> None:
     session = opened(shot)
     go(session, 9)
     curves = dict(session.timeline.curves)
@@ -246,18 +246,18 @@ def test_a_clean_run_is_what_a_fresh_run_gives(shot: Path) -> None:
     assert session.hash == fresh(shot, session)
 
 
-def test_the_text_that_is_told_does_the_same_for_good(shot: Path) -> None:
+def test_the_suggested_text_has_the_same_lasting_effect(shot: Path) -> None:
     session = opened(shot)
     layer = "separate(radius: 1.2 * size, fov: 260 deg)"
     assert session.layer("forager", layer, False).text == f"# {layer}"
     assert len(session.shot.plan.species["forager"].layers) == 3
-    told = session.field("trail", False).text
-    assert told == "set: {trail.limit: 0.000001, trail.keeps: 0 %/step}"
+    suggested_text = session.field("trail", False).text
+    assert suggested_text == "set: {trail.limit: 0.000001, trail.keeps: 0 %/step}"
     session.restart()
     go(session, 12)
     assert session.world.fields["trail"].values.max() <= 1e-6
     edit(shot, layer, f"# {layer}")
-    shot.write_text(shot.read_text() + told + "\n")
+    shot.write_text(shot.read_text() + suggested_text + "\n")
     written = opened(shot)
     go(written, 12)
     assert written.hash == session.hash
@@ -279,16 +279,16 @@ def test_what_was_set_by_hand_goes_with_the_param_it_was_for(shot: Path) -> None
     assert session.choices.params == {"forager.track": "0.01 /s"}
 
 
-def test_memory_is_kept_to_and_the_oldest_goes_first(shot: Path) -> None:
+def test_memory_stays_in_its_budget_and_the_oldest_goes_first(shot: Path) -> None:
     session = opened(shot, every=4, budget=150_000)
     hashes = go(session, 60)
     timeline = session.timeline
-    kept = {
+    array_sizes = {
         id(array): array.nbytes for lights in timeline.light.values() for light in lights.values() for array in light.arrays()
     }
-    assert timeline.light.nbytes == sum(kept.values())
+    assert timeline.light.nbytes == sum(array_sizes.values())
     assert timeline.nbytes <= 150_000 + max(sum(a.nbytes for a in c.values()) for c in timeline.stretches[0].checkpoints.values())
-    assert session.shown(1) is None
+    assert session.light_at(1) is None
     assert len(timeline.curves) == 61
     session.seek(30)
     assert session.hash == hashes[30]
@@ -297,11 +297,11 @@ def test_memory_is_kept_to_and_the_oldest_goes_first(shot: Path) -> None:
 def test_light_frames_show_agents_without_simulating(shot: Path) -> None:
     session = opened(shot)
     go(session, 5)
-    shown = session.shown(3)
-    assert shown is not None
+    light_frame = session.light_at(3)
+    assert light_frame is not None
     session.seek(3)
-    assert (shown["forager"].position == session.world.populations["forager"].position.astype("f4")).all()
-    assert session.shown(99) is None
+    assert (light_frame["forager"].position == session.world.populations["forager"].position.astype("f4")).all()
+    assert session.light_at(99) is None
 
 
 def test_files_that_a_scene_is_made_of_are_known(shot: Path) -> None:

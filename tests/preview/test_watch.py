@@ -49,30 +49,30 @@ def file(tmp_path: Path) -> Path:
     return path
 
 
-def told(watch: Watch, clock: Clock, seconds: float) -> list[Path]:
+def collect_changes(watch: Watch, clock: Clock, seconds: float) -> list[Path]:
     """What is told of while time passes in hundredths of a second."""
-    found: list[Path] = []
+    changes: list[Path] = []
     for _ in range(round(seconds * 100)):
         clock.now += 0.01
-        found += watch.look()
-    return found
+        changes += watch.look()
+    return changes
 
 
-def test_nothing_is_told_of_files_that_stay_or_are_saved_as_they_were(file: Path) -> None:
+def test_unchanged_files_are_not_reported(file: Path) -> None:
     clock = Clock()
     watch = Watch(lambda: [file], clock=clock)
-    assert told(watch, clock, 1) == []
+    assert collect_changes(watch, clock, 1) == []
     file.write_text("one")
     os.utime(file, ns=(5, 5))
-    assert told(watch, clock, 1) == []
+    assert collect_changes(watch, clock, 1) == []
 
 
-def test_a_save_is_told_once(file: Path) -> None:
+def test_a_save_is_reported_once(file: Path) -> None:
     clock = Clock()
     watch = Watch(lambda: [file], clock=clock)
     file.write_text("two, longer")
-    assert told(watch, clock, 1) == [file]
-    assert told(watch, clock, 3) == []
+    assert collect_changes(watch, clock, 1) == [file]
+    assert collect_changes(watch, clock, 3) == []
 
 
 def test_a_file_that_is_still_being_written_is_waited_for(file: Path) -> None:
@@ -80,18 +80,18 @@ def test_a_file_that_is_still_being_written_is_waited_for(file: Path) -> None:
     watch = Watch(lambda: [file], clock=clock)
     for k in range(20):
         file.write_text("two" * (k + 1))
-        assert told(watch, clock, 0.02) == []
-    assert told(watch, clock, 0.1) == [file]
+        assert collect_changes(watch, clock, 0.02) == []
+    assert collect_changes(watch, clock, 0.1) == [file]
 
 
-def test_an_editor_that_empties_or_deletes_before_it_writes_is_told_once(file: Path) -> None:
+def test_an_editor_that_empties_or_deletes_before_writing_is_reported_once(file: Path) -> None:
     for begin in (lambda: file.write_text(""), file.unlink):
         clock = Clock()
         watch = Watch(lambda: [file], clock=clock)
         begin()
-        assert told(watch, clock, 0.2) == []
+        assert collect_changes(watch, clock, 0.2) == []
         file.write_text("new")
-        assert told(watch, clock, 1) == [file]
+        assert collect_changes(watch, clock, 1) == [file]
         file.write_text("one")
 
 
@@ -102,7 +102,7 @@ def test_an_editor_that_renames_another_file_over_it_is_heard(file: Path) -> Non
     other.write_text("two")
     os.utime(other, ns=(os.stat(file).st_atime_ns, os.stat(file).st_mtime_ns))
     os.replace(other, file)
-    assert told(watch, clock, 1) == [file]
+    assert collect_changes(watch, clock, 1) == [file]
 
 
 def test_a_change_that_no_date_tells_of_is_found_within_a_second_or_so(file: Path) -> None:
@@ -111,16 +111,16 @@ def test_a_change_that_no_date_tells_of_is_found_within_a_second_or_so(file: Pat
     date = os.stat(file)
     file.write_text("two")  # as long as before
     os.utime(file, ns=(date.st_atime_ns, date.st_mtime_ns))
-    assert told(watch, clock, 1.5) == [file]
+    assert collect_changes(watch, clock, 1.5) == [file]
 
 
-def test_a_file_that_stays_away_is_told_of_and_told_again_when_it_is_back(file: Path) -> None:
+def test_a_missing_file_is_reported_and_again_on_its_return(file: Path) -> None:
     clock = Clock()
     watch = Watch(lambda: [file], clock=clock)
     file.unlink()
-    assert told(watch, clock, 1) == [file]
+    assert collect_changes(watch, clock, 1) == [file]
     file.write_text("one")
-    assert told(watch, clock, 1) == [file]
+    assert collect_changes(watch, clock, 1) == [file]
 
 
 def test_files_that_an_edit_brings_in_are_watched_from_then_on(file: Path) -> None:
@@ -129,12 +129,12 @@ def test_files_that_an_edit_brings_in_are_watched_from_then_on(file: Path) -> No
     other = file.with_name("mine.ant")
     other.write_text("a")
     paths.append(other)
-    assert told(watch, clock, 0.5) == []
+    assert collect_changes(watch, clock, 0.5) == []
     other.write_text("bb")
-    assert told(watch, clock, 0.5) == [other]
+    assert collect_changes(watch, clock, 0.5) == [other]
     paths.remove(other)
     other.write_text("ccc")
-    assert told(watch, clock, 0.5) == []
+    assert collect_changes(watch, clock, 0.5) == []
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -143,11 +143,11 @@ def test_what_is_no_file_is_not_read_and_a_file_in_its_place_is(file: Path, kind
     watch = Watch(lambda: [file], clock=clock)
     file.unlink()
     KINDS[kind](file)
-    assert told(watch, clock, 2) == [file]
-    assert told(watch, clock, 2) == [], "it is as it was"
+    assert collect_changes(watch, clock, 2) == [file]
+    assert collect_changes(watch, clock, 2) == [], "it is as it was"
     taken_away(file)
     file.write_text("two")
-    assert told(watch, clock, 1) == [file]
+    assert collect_changes(watch, clock, 1) == [file]
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -156,10 +156,10 @@ def test_it_begins_beside_what_is_no_file(file: Path, kind: str) -> None:
     KINDS[kind](file)
     clock = Clock()
     watch = Watch(lambda: [file], clock=clock)
-    assert told(watch, clock, 2) == []
+    assert collect_changes(watch, clock, 2) == []
     taken_away(file)
     file.write_text("one")
-    assert told(watch, clock, 1) == [file]
+    assert collect_changes(watch, clock, 1) == [file]
 
 
 def test_a_pipe_is_not_even_opened(file: Path) -> None:
@@ -187,13 +187,13 @@ def test_how_much_is_read_without_a_sign_of_change_is_bounded(tmp_path: Path) ->
     read.clear()
     for _ in range(100):
         clock.now += 0.05
-        before = len(read)
+        initial_count = len(read)
         watch.look()
-        assert len(read) - before <= 11, "a mebibyte and a part"
+        assert len(read) - initial_count <= 11, "a mebibyte and a part"
     assert set(read) == set(files), "each has its turn"
 
 
-def test_waiting_for_changes_ends_when_somebody_says_so(file: Path) -> None:
+def test_waiting_for_changes_ends_at_the_stop_event(file: Path) -> None:
     stop = Event()
     watch = Watch(lambda: [file])
     file.write_text("other")
@@ -203,7 +203,7 @@ def test_waiting_for_changes_ends_when_somebody_says_so(file: Path) -> None:
     assert stop.is_set()
 
 
-def test_a_file_that_begins_to_change_stirs_once_before_it_is_told(file: Path) -> None:
+def test_a_changing_file_stirs_once_before_it_is_reported(file: Path) -> None:
     clock = Clock()
     watch = Watch(lambda: [file], clock=clock)
     assert watch.look() == () and not watch.stirs()
@@ -217,16 +217,16 @@ def test_a_file_that_begins_to_change_stirs_once_before_it_is_told(file: Path) -
     assert watch.look() == () and not watch.stirs(), "half of a save"
 
 
-def test_what_somebody_has_read_in_the_middle_of_a_change_is_told_though_it_is_taken_back(file: Path) -> None:
+def test_a_change_that_was_read_is_reported_though_it_is_undone(file: Path) -> None:
     clock = Clock()
     watch = Watch(lambda: [file], clock=clock)
     watch.doubt()
-    assert told(watch, clock, 1.2) == [], "nobody was changing it"
+    assert collect_changes(watch, clock, 1.2) == [], "nobody was changing it"
     file.write_text("two")
     watch.doubt()
     file.write_text("one")
-    assert told(watch, clock, 0.1) == [file]
+    assert collect_changes(watch, clock, 0.1) == [file]
     file.write_text("two")
     watch.look()
     file.write_text("one")
-    assert told(watch, clock, 2.0) == [], "nobody has read it meanwhile"
+    assert collect_changes(watch, clock, 2.0) == [], "nobody has read it meanwhile"

@@ -70,7 +70,7 @@ start lay
 state lay { deposit mark 10 /s * store; laid += 10 /s * store; store -= 400 %/s * store; x = mark; when after 2 s -> rest }
 state rest { x = mark; when after 4 s -> lay } }"""
     world = "ant 1\nworld { surface ground }\nfield mark on ground { cell 10 mm }\n"
-    seen = play(text, crowd(), steps=60, world=world, surfaces={"ground": MeshData(*meshes.grid(200, 10))})
-    store, laid = seen.every("store"), seen.every("laid")
+    history = play(text, crowd(), steps=60, world=world, surfaces={"ground": MeshData(*meshes.grid(200, 10))})
+    store, laid = history.every("store"), history.every("laid")
     assert store[20] < 0.15 and store[-1] > 0.8  # used up in two seconds, back after four
-    assert laid[20] == pytest.approx(seen.every("x")[22], rel=1e-4) and laid[22] == laid[-1] < 10 * 2 * 0.4
+    assert laid[20] == pytest.approx(history.every("x")[22], rel=1e-4) and laid[22] == laid[-1] < 10 * 2 * 0.4

@@ -16,13 +16,13 @@ pytest.importorskip("interegular", reason="the grammar is made anew")
 
 
 @pytest.fixture(scope="module")
-def told() -> Any:
+def row_results() -> Any:
     """What is made of it, in a process of its own: the rows have to be there before what is made of them."""
     environment = child_environment(TESTS)
     script = [sys.executable, str(TESTS / "effect_of_a_row.py")]
-    done = subprocess.run(script, capture_output=True, text=True, timeout=300, env=environment)
-    assert done.returncode == 0, done.stderr
-    return json.loads(done.stdout)
+    process = subprocess.run(script, capture_output=True, text=True, timeout=300, env=environment)
+    assert process.returncode == 0, process.stderr
+    return json.loads(process.stdout)
 
 
 @pytest.mark.parametrize(
@@ -41,33 +41,33 @@ def told() -> Any:
         ("misplaced", "misplaced-line", "`scratch` does not stand here", "in a state"),
     ],
 )
-def test_what_is_wrong_with_its_line_is_said(told: Any, line: str, code: str, message: str, help: str) -> None:
-    ((got, said, advice),) = told["complaints"][line]
+def test_what_is_wrong_with_its_line_is_said(row_results: Any, line: str, code: str, message: str, help: str) -> None:
+    ((got, said, advice),) = row_results["complaints"][line]
     assert got == code and message in said and help in advice
 
 
-def test_it_is_lowered_as_its_row_says(told: Any) -> None:
-    assert "scratch ground claw by 2 -> dust" in told["plan"] and "scratch ground 3 by 4 -> dust" in told["plan"]
+def test_it_is_lowered_as_its_row_says(row_results: Any) -> None:
+    assert "scratch ground claw by 2 -> dust" in row_results["plan"] and "scratch ground 3 by 4 -> dust" in row_results["plan"]
 
 
-def test_it_is_settled_on_both_backends(told: Any) -> None:
+def test_it_is_settled_on_both_backends(row_results: Any) -> None:
     for backend in ("reference", "numpy"):
-        assert told["dust"][backend] == [[value] * 3 for value in (2, 4, 6, 8, 20)]
+        assert row_results["dust"][backend] == [[value] * 3 for value in (2, 4, 6, 8, 20)]
 
 
-def test_explanations_and_costs_tell_of_it(told: Any) -> None:
-    assert told["did"] == [["scratch ground, 1 mm deep"]] * 2 + [["scratch ground, 3 mm deep"]]
-    assert told["costs"] == ["scratches ground"]
+def test_explanations_and_costs_tell_of_it(row_results: Any) -> None:
+    assert row_results["did"] == [["scratch ground, 1 mm deep"]] * 2 + [["scratch ground, 3 mm deep"]]
+    assert row_results["costs"] == ["scratches ground"]
 
 
-def test_it_is_formatted_and_coloured(told: Any) -> None:
-    assert told["formatted"] and told["keyword"] and told["colour"] == ["Token.Keyword"]
+def test_it_is_formatted_and_coloured(row_results: Any) -> None:
+    assert row_results["formatted"] and row_results["keyword"] and row_results["colour"] == ["Token.Keyword"]
 
 
-def test_an_editor_knows_it(told: Any) -> None:
-    proposals = told["proposals"]
+def test_an_editor_knows_it(row_results: Any) -> None:
+    proposals = row_results["proposals"]
     assert "scratch" in proposals["scr"] and proposals["scratch "] == ["ground"]
     assert proposals["scratch ground("][:3] == ["depth:", "width:", "into:"]
     assert proposals["scratch ground(depth: 1 mm, into: "][:2] == ["dust", "claw"]
-    assert ["thing", "ground"] in told["meanings"] and ["own", "ant", "dust"] in told["meanings"]
-    assert "scratch ground(depth: 1 mm)" in told["about"] and "scratches a surface" in told["about"]
+    assert ["thing", "ground"] in row_results["meanings"] and ["own", "ant", "dust"] in row_results["meanings"]
+    assert "scratch ground(depth: 1 mm)" in row_results["about"] and "scratches a surface" in row_results["about"]

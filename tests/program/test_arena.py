@@ -48,16 +48,16 @@ def velocity(world: World, species: str) -> np.ndarray:
 def test_the_only_rabbit_in_reach_is_taken() -> None:
     world = arena(crowd(1, "hunter", at=[(0, 0)]), crowd(2, "rabbit", at=[(90, 0), (-20, 0)]))
     rabbits = world.populations["rabbit"]
-    wanted = rabbits.ids[np.argmin(np.abs(rabbits.position[:, 0] + world.origin[0] + 20))]
-    assert world.populations["hunter"].now["prey"].tolist() == [wanted]
+    nearest_id = rabbits.ids[np.argmin(np.abs(rabbits.position[:, 0] + world.origin[0] + 20))]
+    assert world.populations["hunter"].now["prey"].tolist() == [nearest_id]
 
 
-def test_a_rabbit_without_a_hunter_near_keeps_its_velocity_to_the_bit_and_nobody_pushes_it() -> None:
+def test_a_rabbit_without_a_hunter_near_keeps_its_velocity_to_the_bit_without_pushes() -> None:
     world = arena(crowd(1, "hunter", at=[(150, 0)]), crowd(1, "rabbit", at=[(-60, 0)]))
-    before = velocity(world, "rabbit")
+    initial_velocity = velocity(world, "rabbit")
     for _ in range(24):
         step(world)
-    assert np.linalg.norm(before) > 1 and np.array_equal(velocity(world, "rabbit"), before)
+    assert np.linalg.norm(initial_velocity) > 1 and np.array_equal(velocity(world, "rabbit"), initial_velocity)
 
 
 def test_a_hunter_alone_goes_straight_to_its_rabbit() -> None:
@@ -72,9 +72,9 @@ def test_each_kind_pushes_its_own_and_not_the_other(species: str) -> None:
     at = [(-3.0, 60.0), (3.0, 60.0)]
     world = arena(crowd(2, species, at=at), crowd(1, other, at=[(0, -120)]), still=True)
     step(world)
-    apart = velocity(world, species)
+    velocities = velocity(world, species)
     rabbits_only = species == "rabbit"  # hunters go to their rabbit besides
-    assert apart[0, 0] < 0 < apart[1, 0] if rabbits_only else apart[1, 0] - apart[0, 0] > 0
+    assert velocities[0, 0] < 0 < velocities[1, 0] if rabbits_only else velocities[1, 0] - velocities[0, 0] > 0
     assert velocity(world, "rabbit")[0, 0] == 0 or rabbits_only
 
 

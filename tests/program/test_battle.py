@@ -47,28 +47,30 @@ def fight() -> Fight:
     ]
     world = bind(shot.plan, replace(shot.setting, crowds=tuple(crowds)))
     ants = world.populations["soldier"]
-    found = Fight(ants.now["group"][ants.in_id_order()].copy(), next(m.states for m in ants.plan.machines if m.name == "deeds"))
+    fight_record = Fight(
+        ants.now["group"][ants.in_id_order()].copy(), next(m.states for m in ants.plan.machines if m.name == "deeds")
+    )
     for frame in range(FRAMES):
         step(world)
         rows = ants.in_id_order()
         ids = ants.ids[rows]
-        found.strength[frame, ids] = ants.now["strength"][rows]
-        found.enemy[frame, ids] = ants.now["enemy"][rows]
-        found.state[frame, ids] = ants.now["deeds.state"][rows]
-        for name, into in (("position", found.place), ("heading", found.heading)):
+        fight_record.strength[frame, ids] = ants.now["strength"][rows]
+        fight_record.enemy[frame, ids] = ants.now["enemy"][rows]
+        fight_record.state[frame, ids] = ants.now["deeds.state"][rows]
+        for name, into in (("position", fight_record.place), ("heading", fight_record.heading)):
             into[frame, ids] = np.stack([ants.now[f"{name}.{part}"][rows] for part in "xyz"], axis=1)
-    return found
+    return fight_record
 
 
 def test_who_strikes_has_an_enemy_before_it_and_within_reach(fight: Fight) -> None:
     struck = 0
     for frame in range(1, FRAMES):
         who = fight.strikes(frame)
-        whom = fight.enemy[frame, who].astype(int)
-        way = fight.place[frame - 1, whom] - fight.place[frame - 1, who]
-        far = np.linalg.norm(way, axis=1)
-        ahead = np.einsum("nc,nc->n", way, fight.heading[frame - 1, who]) / far
-        assert (fight.group[whom] != fight.group[who]).all()
+        targets = fight.enemy[frame, who].astype(int)
+        displacement = fight.place[frame - 1, targets] - fight.place[frame - 1, who]
+        far = np.linalg.norm(displacement, axis=1)
+        ahead = np.einsum("nc,nc->n", displacement, fight.heading[frame - 1, who]) / far
+        assert (fight.group[targets] != fight.group[who]).all()
         assert (far < REACH * 1.0001).all() and (ahead > 0.7).all()
         struck += len(who)
     assert struck > 60
@@ -78,8 +80,8 @@ def test_strength_goes_by_strikes_alone_and_once_a_step(fight: Fight) -> None:
     for frame in range(1, FRAMES - 1):
         lost = fight.strength[frame] - fight.strength[frame + 1]  # NaN for who has left
         struck = np.unique(fight.enemy[frame, fight.strikes(frame)])
-        there = struck[~np.isnan(lost[struck.astype(int)])] if len(struck) else struck
-        assert np.flatnonzero(lost > 0).tolist() == there.tolist()
+        survivors = struck[~np.isnan(lost[struck.astype(int)])] if len(struck) else struck
+        assert np.flatnonzero(lost > 0).tolist() == survivors.tolist()
         assert np.allclose(lost[lost > 0], 1, atol=1e-5) and not (lost < 0).any()
 
 

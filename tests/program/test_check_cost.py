@@ -20,7 +20,7 @@ HEAD = "ant 1\nuse steering\nworld { surface ground; obstacle stones; items food
 FIELD = "field trail on ground { cell 4 mm; half_life 8 s }\n"
 
 
-def asked(tmp_path: Path, text: str) -> dict[str, Part]:
+def find_costs(tmp_path: Path, text: str) -> dict[str, Part]:
     path = tmp_path / "a.ant"
     path.write_text(HEAD + text)
     program, report = compile_files([path])
@@ -40,20 +40,20 @@ def asked(tmp_path: Path, text: str) -> dict[str, Part]:
     ],
 )
 def test_what_a_state_asks_for(tmp_path: Path, push: str, words: list[str]) -> None:
-    part = asked(tmp_path, f"species walker {{ state stroll {{ steer {push} }} }}\n")["stroll"]
+    part = find_costs(tmp_path, f"species walker {{ state stroll {{ steer {push} }} }}\n")["stroll"]
     assert [use.words for use in part.uses] == words
     assert part.weight == part.sums + sum(use.weight for use in part.uses)
 
 
 def test_fields_are_smelled_and_laid(tmp_path: Path) -> None:
     text = "species walker { state s { steer climb(trail, nearest: 9); deposit trail 1 /s; when trail > 3 -> s } }\n"
-    words = {use.words for use in asked(tmp_path, FIELD + text)["s"].uses}
+    words = {use.words for use in find_costs(tmp_path, FIELD + text)["s"].uses}
     assert words == {"9 cells of trail", "lays trail", "trail"}
 
 
 def test_more_rays_and_sums_inside_sets_weigh_more(tmp_path: Path) -> None:
     def weight(push: str) -> float:
-        return asked(tmp_path, f"species walker {{ state s {{ steer {push} }} }}\n")["s"].weight
+        return find_costs(tmp_path, f"species walker {{ state s {{ steer {push} }} }}\n")["s"].weight
 
     assert weight("avoid(stones, feelers: 7)") > weight("avoid(stones, feelers: 3)") > weight("heading * 0.5")
     one = weight("heading * count(n in neighbours(20 mm): n.speed > 3 mm/s)")
@@ -61,15 +61,15 @@ def test_more_rays_and_sums_inside_sets_weigh_more(tmp_path: Path) -> None:
 
 
 def test_what_is_done_in_every_state_stands_last(tmp_path: Path) -> None:
-    parts = asked(tmp_path, "species walker { state s { steer heading }; layers { avoid(stones); state } }\n")
+    parts = find_costs(tmp_path, "species walker { state s { steer heading }; layers { avoid(stones); state } }\n")
     assert list(parts) == ["s", "every state"]
     assert [use.words for use in parts["every state"].uses] == ["3 rays on stones"]
 
 
 def test_memory_counts_what_the_plan_keeps(tmp_path: Path) -> None:
-    def bytes_of(more: str) -> dict[str, int]:
+    def bytes_of(members: str) -> dict[str, int]:
         path = tmp_path / "a.ant"
-        path.write_text(f"ant 1\nspecies walker {{ {more}; state s {{ steer heading; when after 1 s -> s }} }}\n")
+        path.write_text(f"ant 1\nspecies walker {{ {members}; state s {{ steer heading; when after 1 s -> s }} }}\n")
         program, _ = compile_files([path])
         assert program is not None
         return memory(passes.optimise(plan.lower(program)[0]).species["walker"])
@@ -85,9 +85,9 @@ def test_the_command_prints_it_and_loads_no_geometry(tmp_path: Path) -> None:
         "code = _run(); print(code, [m for m in ('open3d', 'scipy', 'llvmlite') if m in sys.modules])"
     )
     env = child_environment()
-    done = subprocess.run([sys.executable, "-c", check], cwd=ROOT, env=env, capture_output=True, text=True, timeout=60)
-    lines = done.stdout.splitlines()
-    assert lines[-1] == "0 []", done.stderr
+    process = subprocess.run([sys.executable, "-c", check], cwd=ROOT, env=env, capture_output=True, text=True, timeout=60)
+    lines = process.stdout.splitlines()
+    assert lines[-1] == "0 []", process.stderr
     assert re.match(
         r"examples/foraging/forager.ant: forager, \d+ bytes an agent \(\d+ attributes, \d+ memory\), \d+ more", lines[0]
     )
@@ -100,5 +100,5 @@ def test_a_program_with_errors_has_no_cost(tmp_path: Path) -> None:
     (tmp_path / "a.ant").write_text("ant 1\nspecies a { state s { steer headin } }\n")
     command = [sys.executable, "-m", "antdsl", "check", "a.ant", "--cost"]
     env = child_environment()
-    done = subprocess.run(command, cwd=tmp_path, env=env, capture_output=True, text=True, timeout=60)
-    assert done.returncode == 1 and "no program without errors" in done.stdout
+    process = subprocess.run(command, cwd=tmp_path, env=env, capture_output=True, text=True, timeout=60)
+    assert process.returncode == 1 and "no program without errors" in process.stdout

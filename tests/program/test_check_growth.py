@@ -20,9 +20,9 @@ def cost(folder: Path, text: str) -> float:
     path = folder / "a.ant"
     path.write_text(text, encoding="utf-8", newline="")
     (folder / "mine.ant").write_text("ant 1\nbehaviour b() -> push { heading }\n")
-    begun = time.process_time()
+    start_time = time.process_time()
     check_path(path)
-    return time.process_time() - begun
+    return time.process_time() - start_time
 
 
 def growth(folder: Path, shape: Shape, kibibytes: int) -> float:
@@ -47,7 +47,7 @@ def test_the_longest_files_cost_about_eight_times_those_of_32_kib(tmp_path: Path
     assert growth(tmp_path, SHAPES[name], 32) < GROWTH
 
 
-def test_a_shape_is_as_long_as_asked() -> None:
+def test_a_shape_has_the_requested_length() -> None:
     for name, shape in SHAPES.items():
         text = shape(8 * 1024)
         assert 6 * 1024 < len(text.encode()) <= 8 * 1024, name

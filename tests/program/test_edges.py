@@ -72,13 +72,13 @@ def shot(folder: Path, triangles: list, turn: str = "max_turn 360 deg/s") -> Sho
     (folder / "ground.obj").write_text("\n".join(lines) + "\n")
     (folder / "walker.ant").write_text(PROGRAM.replace("TURN", turn))
     (folder / "scene.yaml").write_text(SCENE)
-    found, report = open_scene(folder / "scene.yaml", Choices())
-    assert found is not None, [each.message for each in report]
-    return found
+    opened_shot, report = open_scene(folder / "scene.yaml", Choices())
+    assert opened_shot is not None, [each.message for each in report]
+    return opened_shot
 
 
-def run(found: Shot, frames: int, **options: object) -> World:
-    world = bind(found.plan, found.setting, Options(**options))  # type: ignore[arg-type]
+def run(opened_shot: Shot, frames: int, **options: object) -> World:
+    world = bind(opened_shot.plan, opened_shot.setting, Options(**options))  # type: ignore[arg-type]
     for _ in range(frames):
         step(world)
     return world
@@ -88,14 +88,14 @@ def run(found: Shot, frames: int, **options: object) -> World:
 @pytest.mark.parametrize(("turn", "most"), [("max_turn 360 deg/s", 360), ("", 90 * 30 / 4)])
 def test_no_body_tilts_or_turns_faster_than_it_may(tmp_path: Path, ground, turn: str, most: float) -> None:
     world = run(shot(tmp_path, ground(), turn), 60)
-    found = world.motion.summary()
-    assert found["tilt_max"] <= most / 24 * 1.001 and found["tilt_max"] > 1, "and somebody has come to an edge"
-    assert found["step_max"] <= 1.001 and not world.faults.count
+    summary = world.motion.summary()
+    assert summary["tilt_max"] <= most / 24 * 1.001 and summary["tilt_max"] > 1, "and somebody has come to an edge"
+    assert summary["step_max"] <= 1.001 and not world.faults.count
     if turn:
         population = world.populations["walker"]
-        before = population.vector("heading")
+        previous_heading = population.vector("heading")
         step(world)
-        turned = np.degrees(np.arccos(np.clip((before * population.vector("heading")).sum(axis=1), -1, 1)))
+        turned = np.degrees(np.arccos(np.clip((previous_heading * population.vector("heading")).sum(axis=1), -1, 1)))
         assert turned.max() <= most / 24 * 1.01
     up, heading = (world.populations["walker"].vector(name) for name in ("up", "heading"))
     assert np.abs((up * heading).sum(axis=1)).max() < 1e-4 and np.abs((up**2).sum(axis=1) - 1).max() < 1e-4
@@ -106,12 +106,12 @@ def test_the_whole_turn_of_a_body_is_no_faster_than_it_may(tmp_path: Path, groun
     """Tilt and turn of the heading together, as an angle about one axis."""
     world = run(shot(tmp_path, ground()), 1)
     population, farthest = world.populations["walker"], 0.0
-    before = axes(population)
+    previous_axes = axes(population)
     for _ in range(150):
         step(world)
         now = axes(population)
-        chord = sum(((a - b) ** 2).sum(axis=1) for a, b in zip(now, before, strict=True)) / 2
-        farthest, before = max(farthest, float(np.degrees(2 * np.arcsin(np.sqrt(chord) / 2)).max())), now
+        chord = sum(((a - b) ** 2).sum(axis=1) for a, b in zip(now, previous_axes, strict=True)) / 2
+        farthest, previous_axes = max(farthest, float(np.degrees(2 * np.arcsin(np.sqrt(chord) / 2)).max())), now
     assert 14 < farthest <= 15 * 1.006
 
 
@@ -132,9 +132,9 @@ def test_heads_stay_out_of_walls_and_feet_walk_on(tmp_path: Path) -> None:
 
 
 def test_who_begins_before_a_wall_is_tilted_already(tmp_path: Path) -> None:
-    found = shot(tmp_path, wall_on_a_floor())
-    many = replace(found.setting, crowds=tuple(replace(crowd, count=400) for crowd in found.setting.crowds))
-    world = bind(found.plan, many)
+    opened_shot = shot(tmp_path, wall_on_a_floor())
+    many = replace(opened_shot.setting, crowds=tuple(replace(crowd, count=400) for crowd in opened_shot.setting.crowds))
+    world = bind(opened_shot.plan, many)
     population = world.populations["walker"]
     leaning = (population.vector("up") != population.normal).any(axis=1)
     assert 5 < np.count_nonzero(leaning) < 200
@@ -150,8 +150,8 @@ def test_the_measures_tell_a_body_that_snaps_a_step_too_long_and_a_head_in_a_wal
         for axis, u, h, x in zip("xyz", up, heading, place, strict=True):
             population.start[f"up.{axis}"][k] = population.now[f"up.{axis}"][k] = u
             population.now[f"heading.{axis}"][k] = h
-            for places in (population.start, population.now):
-                places[f"position.{axis}"][k] = x
+            for registers in (population.start, population.now):
+                registers[f"position.{axis}"][k] = x
             population.position[k, "xyz".index(axis)] = x
         population.normal[k] = up
     population.now["up.x"][0], population.now["up.y"][0] = 0, 1
@@ -159,11 +159,11 @@ def test_the_measures_tell_a_body_that_snaps_a_step_too_long_and_a_head_in_a_wal
     world.motion.reset()
     world.motion.begin(world)
     world.motion.observe(world)
-    found = world.motion.summary()
-    assert found["tilt_max"] == pytest.approx(90, abs=0.01)
-    assert found["step_max"] == pytest.approx(5.3 / (30 / 24), rel=1e-4)
-    assert found["heads_inside"] >= 1 / len(population)
-    assert found["overlap_start"] > 0
+    summary = world.motion.summary()
+    assert summary["tilt_max"] == pytest.approx(90, abs=0.01)
+    assert summary["step_max"] == pytest.approx(5.3 / (30 / 24), rel=1e-4)
+    assert summary["heads_inside"] >= 1 / len(population)
+    assert summary["overlap_start"] > 0
 
 
 def test_feet_are_exact_while_the_body_leans(tmp_path: Path) -> None:
@@ -179,14 +179,18 @@ def test_feet_are_exact_while_the_body_leans(tmp_path: Path) -> None:
 
 
 def test_edges_give_the_same_bits_however_they_are_run(tmp_path: Path) -> None:
-    found = shot(tmp_path, wall_on_a_floor())
-    whole = state_hash(run(found, 50))
-    assert whole == state_hash(run(found, 50, backend="reference")) == state_hash(run(found, 50, shuffle_rows=3, chunk=7))
-    half, other = run(found, 25), bind(found.plan, found.setting)
+    opened_shot = shot(tmp_path, wall_on_a_floor())
+    expected_hash = state_hash(run(opened_shot, 50))
+    assert (
+        expected_hash
+        == state_hash(run(opened_shot, 50, backend="reference"))
+        == state_hash(run(opened_shot, 50, shuffle_rows=3, chunk=7))
+    )
+    half, other = run(opened_shot, 25), bind(opened_shot.plan, opened_shot.setting)
     restore(other, checkpoint(half))
     for _ in range(25):
         step(other)
-    assert state_hash(other) == whole
+    assert state_hash(other) == expected_hash
 
 
 @pytest.mark.parametrize("spread", [0.0, 0.5, 3.0, 60.0])

@@ -10,7 +10,7 @@ from explained import cached
 from meaning import play
 from test_specs import GROUND
 
-from antdsl.explain import CacheHistory, Replay, accounts, open_shot, tell
+from antdsl.explain import CacheHistory, Replay, explain_agents, open_shot, tell
 from antdsl.pipeline import open_scene
 from antdsl.runtime import FaultStop, Options, bind, checkpoint, restore, state_hash, step
 from antdsl.specs import Work, cases, run_cases
@@ -57,9 +57,9 @@ start p
 state p { when frame == 3 -> q }
 state q { n = frame; when time >= 0.5 s -> r }
 state r { when false -> p } }"""
-    seen = play(text, steps=6)  # ten frames a second, from frame 0 on
-    assert seen.states() == ["p", "p", "p", "q", "q", "r", "r"]
-    assert seen.every("n") == [0, 0, 0, 3, 4, 4, 4]
+    history = play(text, steps=6)  # ten frames a second, from frame 0 on
+    assert history.states() == ["p", "p", "p", "q", "q", "r", "r"]
+    assert history.every("n") == [0, 0, 0, 3, 4, 4, 4]
 
 
 def test_at_birth_it_is_the_first_frame_of_the_newborn() -> None:
@@ -71,12 +71,12 @@ on ping { heard += frame + 1 }
 start p
 state p { when frame == 9 and previous == p -> q { spawn a } }
 state q { when false -> p } }"""
-    seen = play(text, steps=4, first_frame=7)
-    assert seen.at("mine", 0) == [7] and seen.at("mine", 2) == [7, 9] and seen["since"] == pytest.approx([0.7, 0.9])
-    assert seen["heard"] == [8, 10]  # in the first step of each
+    history = play(text, steps=4, first_frame=7)
+    assert history.at("mine", 0) == [7] and history.at("mine", 2) == [7, 9] and history["since"] == pytest.approx([0.7, 0.9])
+    assert history["heard"] == [8, 10]  # in the first step of each
 
 
-def test_a_fault_is_told_at_the_frame_that_could_not_be_made() -> None:
+def test_a_fault_is_reported_at_the_frame_that_failed() -> None:
     text = "species a { x = 1\nstart p\nstate p { x = 1 / (frame - 3); when false -> q }\nstate q { when false -> p } }"
     with pytest.raises(FaultStop) as stop:
         play(text, steps=6)
@@ -87,32 +87,32 @@ def test_a_fault_is_told_at_the_frame_that_could_not_be_made() -> None:
 def test_a_spec_sees_the_same_frame_and_time_as_the_animals(scene: Path, backend: str) -> None:
     shot, report = open_scene(scene)
     assert shot is not None, report.sorted()
-    found, report = cases([scene.parent / "walker.ant"])
-    assert report.ok and found
-    run_cases(found, Work(Options(backend=backend)))
-    assert [failure.message for run in found for case in run.cases for failure in case.failures] == []
+    runs, report = cases([scene.parent / "walker.ant"])
+    assert report.ok and runs
+    run_cases(runs, Work(Options(backend=backend)))
+    assert [failure.message for run in runs for case in run.cases for failure in case.failures] == []
 
 
-def test_explain_tells_the_frame_that_was_asked_for(scene: Path) -> None:
+def test_explain_describes_the_requested_frame(scene: Path) -> None:
     cache = cached(scene, 20, scene.parent / "out")
     replay = Replay(CacheHistory.of(cache, open_shot(cache)))
     for frame, fires in ((11, False), (12, True)):
-        (told,) = accounts(replay, frame, [("walker", 0)])
-        assert told is not None
-        (looked,) = told.machines[0].looked
-        assert looked.fires is fires and told.machines[0].after == ("go" if fires else "wait")
-        assert f"frame = {frame}" in tell(told)
+        (account,) = explain_agents(replay, frame, [("walker", 0)])
+        assert account is not None
+        (looked,) = account.machines[0].looked
+        assert looked.fires is fires and account.machines[0].after == ("go" if fires else "wait")
+        assert f"frame = {frame}" in tell(account)
 
 
 def test_a_run_goes_on_from_a_checkpoint_with_the_same_frames(scene: Path) -> None:
     shot, _ = open_scene(scene)
     assert shot is not None
-    whole, again = bind(shot.plan, shot.setting), bind(shot.plan, shot.setting)
+    unbroken_world, again = bind(shot.plan, shot.setting), bind(shot.plan, shot.setting)
     for _ in range(5):
-        step(whole)
-    restore(again, checkpoint(whole))
+        step(unbroken_world)
+    restore(again, checkpoint(unbroken_world))
     for _ in range(6):
-        step(whole)
+        step(unbroken_world)
         step(again)
-        assert state_hash(whole) == state_hash(again)
+        assert state_hash(unbroken_world) == state_hash(again)
     assert set(again.populations["walker"].now["seen"]) == {16.0}

@@ -21,8 +21,8 @@ def states() -> np.ndarray:
     """(frames, agents): the state of each roach in 8 s, of which 4 are lit."""
     shot, report = open_scene(SCENE, Choices(params={"roach.cycle": "8 s"}))
     assert shot is not None, report.sorted()
-    seen = [world.populations["roach"].now["main.state"].copy() for world in islice(simulate(shot), 193)]
-    return np.array(seen)
+    snapshots = [world.populations["roach"].now["main.state"].copy() for world in islice(simulate(shot), 193)]
+    return np.array(snapshots)
 
 
 def test_light_hides_them_and_dark_lets_them_out(states: np.ndarray) -> None:
@@ -31,7 +31,7 @@ def test_light_hides_them_and_dark_lets_them_out(states: np.ndarray) -> None:
     assert (dark == FORAGE).mean() > 0.6
 
 
-def test_nobody_goes_by_a_threshold(states: np.ndarray) -> None:
+def test_roaches_do_not_all_react_at_one_threshold(states: np.ndarray) -> None:
     """The light is on within a fifth of a second; the moments at which roaches run from it are spread over more than that."""
     left = [int(np.flatnonzero(own != FORAGE)[0]) for own in states.T if (own != FORAGE).any()]
     early, late = np.percentile(left, (10, 90)) / 24

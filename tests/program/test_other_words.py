@@ -7,7 +7,15 @@ from test_program import checked, complaints
 
 from antdsl.diagnostics import Diagnostic
 from antdsl.program.tables.other_words import CALLS, NAMES
-from antdsl.program.tables.vocabulary import BUILTINS, GIVEN, OTHER_SENSES, REDUCERS, RESERVED, RUN_NAMES, SENSED_NAMES
+from antdsl.program.tables.vocabulary import (
+    BUILTIN_ATTRIBUTES,
+    BUILTINS,
+    OTHER_SENSES,
+    REDUCERS,
+    RESERVED,
+    RUN_NAMES,
+    SENSED_NAMES,
+)
 
 TEXT = """ant 1
 use steering
@@ -29,7 +37,7 @@ GIVEN_TO = {
 }  # fmt: skip
 
 
-def told(line: str) -> tuple[str, list[Diagnostic]]:
+def check_line(line: str) -> tuple[str, list[Diagnostic]]:
     text = TEXT.format(line=line)
     return text, [each for each in checked(text)[1].sorted() if each.severity == "error"]
 
@@ -40,14 +48,14 @@ def mended(text: str, error: Diagnostic) -> str:
 
 
 @pytest.mark.parametrize("word", CALLS)
-def test_a_call_of_another_tool_is_told_with_what_is_written_here(word: str) -> None:
+def test_a_call_of_another_tool_is_reported_with_its_equivalent(word: str) -> None:
     form = CALLS[word]
     many = len({letter for letter in "abcde" if "{" + letter in form.lower()})
     usual = ", ".join(("x", "0.2", "gain + 1", "0", "1")[:many])
-    arguments = next((given for begins, given in GIVEN_TO.items() if begins in form), usual)
+    arguments = next((values for begins, values in GIVEN_TO.items() if begins in form), usual)
     name, call = ("turned" if "angle" in form or "1 deg" in form or "1 rad" in form else "x"), f"{word}({arguments})"
     target = f"steer heading * length({call})" if "unit(" in form or "vector(" in form else f"{name} = {call}"
-    text, (error, *rest) = told(target)
+    text, (error, *rest) = check_line(target)
     assert error.code == "unknown-behaviour" and not rest and "`" in (error.help or "")
     if many or word in NAMES:
         assert error.fix is not None and f"`{error.fix.text}`" in (error.help or "")
@@ -55,9 +63,9 @@ def test_a_call_of_another_tool_is_told_with_what_is_written_here(word: str) -> 
 
 
 @pytest.mark.parametrize("word", NAMES)
-def test_a_name_of_another_tool_is_told_with_what_is_written_here(word: str) -> None:
+def test_a_name_of_another_tool_is_reported_with_its_equivalent(word: str) -> None:
     target = {"dt": "waited = waited + ", "0.5 turn": "turned = ", "1 turn": "turned = ", "time": "waited = "}
-    text, (error, *rest) = told(f"{target.get(NAMES[word], 'x = ')}{word}")
+    text, (error, *rest) = check_line(f"{target.get(NAMES[word], 'x = ')}{word}")
     assert error.code == "unknown-name" and not rest and f"write `{NAMES[word]}`" in (error.help or "")
     assert not checked(mended(text, error))[1].errors
 
@@ -74,22 +82,22 @@ def test_a_name_of_another_tool_is_told_with_what_is_written_here(word: str) -> 
     ],
 )
 def test_what_is_written_instead_has_the_arguments_as_they_were(line: str, instead: str) -> None:
-    text, (error,) = told(line)
+    text, (error,) = check_line(line)
     assert instead in mended(text, error)
 
 
 def test_another_number_of_arguments_shows_the_form() -> None:
-    _, (error,) = told("x = lerp(x, 1)")
+    _, (error,) = check_line("x = lerp(x, 1)")
     assert error.fix is None and "here that is `mix(a, b, c)`" in (error.help or "")
 
 
 def test_a_step_and_other_units_say_where_they_stand() -> None:
-    _, (step,) = told("x += x * step * 1 /s^2")
+    _, (step,) = check_line("x += x * step * 1 /s^2")
     assert "how long a step lasts" in (step.help or "") and "`1 step`" in (step.help or "")
-    _, (unit,) = told("x = x * mm")
+    _, (unit,) = check_line("x = x * mm")
     assert "behind its number" in (unit.help or "") and "`1 mm`" in (unit.help or "") and unit.fix is None
 
 
 def test_no_word_of_the_language_stands_in_the_tables() -> None:
-    own = {*BUILTINS, *REDUCERS, *GIVEN, *RUN_NAMES, *SENSED_NAMES, *RESERVED}
+    own = {*BUILTINS, *REDUCERS, *BUILTIN_ATTRIBUTES, *RUN_NAMES, *SENSED_NAMES, *RESERVED}
     assert not own & {*CALLS, *NAMES} and not {*CALLS} & {*OTHER_SENSES}

@@ -36,7 +36,7 @@ species a {{
 WORLD = "ant 1\nworld { surface ground; items food { load = 0 } }\n"
 
 # What is written, and what to write instead; None where it is told without a text to put there.
-TOLD = [
+PER_FRAME_CASES = [
     ("x = x + 1", "x += 24 /s"),
     ("x = 1 + x", "x += 24 /s"),
     ("x = x - 0.25", "x -= 6 /s"),
@@ -145,56 +145,62 @@ behaviour remembered() -> number { keep n = 1 then max(n, speed / max_speed); n 
 """
 
 
-def told(line: str) -> list[Diagnostic]:
+def find_frame_warnings(line: str) -> list[Diagnostic]:
     program, report = checked(WORLD + BEHAVIOURS + AGENT.format(line=line))
     assert report.ok and program is not None, complaints(report)
-    return [found for found in report.sorted() if found.code == "per-frame"]
+    return [diagnostic for diagnostic in report.sorted() if diagnostic.code == "per-frame"]
 
 
-@pytest.mark.parametrize(("line", "instead"), TOLD)
-def test_what_changes_by_so_much_a_frame_is_told_with_the_rate(line: str, instead: str | None) -> None:
-    (found,) = told(line)
-    assert found.severity == "warning" and found.span is not None and found.span.text == line
+@pytest.mark.parametrize(("line", "instead"), PER_FRAME_CASES)
+def test_a_change_by_frame_is_reported_with_its_rate(line: str, instead: str | None) -> None:
+    (diagnostic,) = find_frame_warnings(line)
+    assert diagnostic.severity == "warning" and diagnostic.span is not None and diagnostic.span.text == line
     if instead is None:
-        assert found.fix is None and "24 frames" not in (found.help or "")
+        assert diagnostic.fix is None and "24 frames" not in (diagnostic.help or "")
         return
-    assert f"write `{instead}`" in (found.help or "") and found.fix is not None
-    source = found.span.source
-    mended = source.text[: found.fix.span.start] + found.fix.text + source.text[found.fix.span.end :]
+    assert f"write `{instead}`" in (diagnostic.help or "") and diagnostic.fix is not None
+    source = diagnostic.span.source
+    mended = source.text[: diagnostic.fix.span.start] + diagnostic.fix.text + source.text[diagnostic.fix.span.end :]
     assert instead in mended
     _, report = checked(mended)
     assert report.ok and "per-frame" not in complaints(report), complaints(report)
 
 
 @pytest.mark.parametrize("line", FINE)
-def test_what_may_be_done_as_often_as_one_likes_is_not_told(line: str) -> None:
-    assert told(line) == []
+def test_lines_that_may_run_at_any_rate_are_not_reported(line: str) -> None:
+    assert find_frame_warnings(line) == []
 
 
-MET = [pair for pair in TOLD[::2] if pair[1] and pair[0][0] in "xf" and "neighbours" not in pair[0] and "x < 9" not in pair[0]]
+RATE_CASES = [
+    pair
+    for pair in PER_FRAME_CASES[::2]
+    if pair[1] and pair[0][0] in "xf" and "neighbours" not in pair[0] and "x < 9" not in pair[0]
+]
 
 
-@pytest.mark.parametrize(("line", "instead"), MET)
+@pytest.mark.parametrize(("line", "instead"), RATE_CASES)
 def test_what_is_written_instead_does_the_same_at_24_frames_a_second_and_at_any_other(line: str, instead: str) -> None:
     name = line.split()[0]
 
-    def after(text: str, fps: int) -> float:
+    def final_value(text: str, fps: int) -> float:
         world = WORLD.replace("items food", "items nest { load = 0 }; items food")
-        return float(play(BEHAVIOURS + AGENT.format(line=text), steps=fps // 2, fps=fps, ways=FAST[:1], world=world)[name][0])
+        return float(
+            play(BEHAVIOURS + AGENT.format(line=text), steps=fps // 2, fps=fps, option_sets=FAST[:1], world=world)[name][0]
+        )
 
-    before = after(line, 24)
-    assert after(instead, 24) == pytest.approx(before, rel=0.02)
-    assert after(instead, 96) == pytest.approx(before, rel=0.05)
-    assert after(line, 96) != pytest.approx(before, rel=0.05) or "0 .. 4" in line or ", 10)" in line
+    expected = final_value(line, 24)
+    assert final_value(instead, 24) == pytest.approx(expected, rel=0.02)
+    assert final_value(instead, 96) == pytest.approx(expected, rel=0.05)
+    assert final_value(line, 96) != pytest.approx(expected, rel=0.05) or "0 .. 4" in line or ", 10)" in line
 
 
-def test_a_memory_of_a_behaviour_is_told_too() -> None:
+def test_a_memory_of_a_behaviour_is_reported_too() -> None:
     text = WORLD + "behaviour ticks() -> number {\n  keep n = 0 then n + 1\n  n\n}\n"
     text += "species a { state s { steer heading * ticks() * 0.01; steer heading * ticks() } }\n"
     _, report = checked(text)
-    (found,) = [each for each in report.sorted() if each.code == "per-frame"]
-    assert found.span is not None and found.span.text == "n + 1" and found.help is not None
-    assert "`then n + 24 /s * dt`" in found.help and found.fix is not None and found.fix.text == "n + 24 /s * dt"
+    (diagnostic,) = [each for each in report.sorted() if each.code == "per-frame"]
+    assert diagnostic.span is not None and diagnostic.span.text == "n + 1" and diagnostic.help is not None
+    assert "`then n + 24 /s * dt`" in diagnostic.help and diagnostic.fix is not None and diagnostic.fix.text == "n + 24 /s * dt"
 
 
 def test_the_library_and_the_samples_have_none() -> None:
@@ -207,7 +213,7 @@ def test_the_library_and_the_samples_have_none() -> None:
     ]
     for path in paths:
         _, report = check_path(path, parsed=parsed)
-        assert "per-frame" not in [found.code for found in report.sorted()], path
+        assert "per-frame" not in [diagnostic.code for diagnostic in report.sorted()], path
 
 
 # --- the unit `step` --------------------------------------------------------------------------------------------------
@@ -238,10 +244,10 @@ PER_SECOND = {
 
 def test_strict_tells_every_use_of_step_and_what_to_write() -> None:
     text = STEPS.format(**PER_STEP)
-    found = [each for each in checked(text, strict=True)[1].sorted() if each.code == "per-step"]
-    shown = [value.removeprefix("keeps ") for value in PER_STEP.values()]
-    assert sorted(each.span.text for each in found if each.span) == sorted(shown)
-    for each in sorted(found, key=lambda one: -(one.fix.span.start if one.fix else 0)):
+    diagnostics = [each for each in checked(text, strict=True)[1].sorted() if each.code == "per-step"]
+    step_texts = [value.removeprefix("keeps ") for value in PER_STEP.values()]
+    assert sorted(each.span.text for each in diagnostics if each.span) == sorted(step_texts)
+    for each in sorted(diagnostics, key=lambda one: -(one.fix.span.start if one.fix else 0)):
         assert each.fix is not None
         text = text[: each.fix.span.start] + each.fix.text + text[each.fix.span.end :]
     assert text == STEPS.format(**PER_SECOND)
@@ -260,7 +266,7 @@ def test_strict_looks_into_the_files_that_are_used_too(tmp_path: Path) -> None:
 
 def test_what_is_written_instead_keeps_the_layout() -> None:
     text = "ant 1\nspecies a {\n  x = 0\n  state s {\n    x = x + 1\n    when x > 2 -> s\n  }\n}\n"
-    (found,) = [each for each in checked(text)[1].sorted() if each.code == "per-frame"]
-    assert found.fix is not None
-    mended = text[: found.fix.span.start] + found.fix.text + text[found.fix.span.end :]
+    (diagnostic,) = [each for each in checked(text)[1].sorted() if each.code == "per-frame"]
+    assert diagnostic.fix is not None
+    mended = text[: diagnostic.fix.span.start] + diagnostic.fix.text + text[diagnostic.fix.span.end :]
     assert format(Source("a.ant", mended))[0] == mended

@@ -8,7 +8,7 @@ import time
 from pathlib import Path
 
 import pytest
-from test_program_cases import library, told
+from test_program_cases import check_text, library
 
 from antdsl.diagnostics import Report
 from antdsl.program import check, model
@@ -16,8 +16,8 @@ from antdsl.program.traverse import parts
 from antdsl.source import Source
 from antdsl.syntax import nodes, parse
 
-HERE = Path(__file__).parents[1]
-PROGRAMS = sorted((HERE / "programs").glob("*.ant"))
+TESTS_FOLDER = Path(__file__).parents[1]
+PROGRAMS = sorted((TESTS_FOLDER / "programs").glob("*.ant"))
 MINIMAL = "ant 1\nuse steering\nspecies a {{\n{}\n}}\n"
 
 
@@ -25,11 +25,11 @@ def checked(*texts: str, modules: dict[str, nodes.File] | None = None, strict: b
     report = Report()
     files = []
     for number, text in enumerate(texts):
-        file, found = parse(Source(f"{number}.ant", text))
-        report.extend(found)
+        file, part_report = parse(Source(f"{number}.ant", text))
+        report.extend(part_report)
         files.append(file)
-    program, found = check(files, library, modules, strict=strict)
-    report.extend(found)
+    program, part_report = check(files, library, modules, strict=strict)
+    report.extend(part_report)
     return program, report
 
 
@@ -42,7 +42,7 @@ def complaints(report: Report) -> list[str]:
 
 @pytest.mark.parametrize("path", PROGRAMS, ids=lambda p: p.stem)
 def test_the_programs_have_nothing_to_complain_about(path: Path) -> None:
-    assert complaints(told(path.read_text(encoding="utf-8"), path.name)) == []
+    assert complaints(check_text(path.read_text(encoding="utf-8"), path.name)) == []
 
 
 def test_species_of_two_files_meet() -> None:
@@ -89,29 +89,29 @@ EDITS = [
 
 
 @pytest.mark.parametrize(("program", "old", "new", "code", "underlined", "words"), EDITS, ids=lambda v: str(v)[:20])
-def test_a_mistake_is_told_in_the_artists_words(
+def test_a_mistake_is_reported_in_the_artists_words(
     program: str, old: str, new: str, code: str | None, underlined: str, words: str
 ) -> None:
-    text = (HERE / "programs" / f"{program}.ant").read_text(encoding="utf-8")
+    text = (TESTS_FOLDER / "programs" / f"{program}.ant").read_text(encoding="utf-8")
     assert text.count(old) >= 1
     place = text.index(old)
-    found = told(text[:place] + new + text[place + len(old) :], f"{program}.ant").sorted()
+    diagnostics = check_text(text[:place] + new + text[place + len(old) :], f"{program}.ant").sorted()
     if code is None:  # the same program in other words
-        assert not [d for d in found if d.severity == "error"]
+        assert not [d for d in diagnostics if d.severity == "error"]
         return
-    first = next((d for d in found if d.severity == "error"), found[0])
+    first = next((d for d in diagnostics if d.severity == "error"), diagnostics[0])
     assert first.span is not None
-    assert first.code == code, found
+    assert first.code == code, diagnostics
     assert first.span.text.startswith(underlined)
     assert words in f"{first.message} {first.help}"
-    assert len({d.span.start for d in found if d.span is not None and d.severity == "error"}) <= 2, found
+    assert len({d.span.start for d in diagnostics if d.span is not None and d.severity == "error"}) <= 2, diagnostics
 
 
 def test_nine_mistakes_are_seven_errors_and_then_two_warnings() -> None:
     """What seems idle is told once the rest is right: until then it may be what was meant where something is wrong."""
-    text = (HERE / "cases" / "nine_mistakes.ant").read_text(encoding="utf-8")
-    found = told(text).sorted()
-    assert [(d.code, d.span.source.line_column(d.span.start)) for d in found if d.span is not None] == [
+    text = (TESTS_FOLDER / "cases" / "nine_mistakes.ant").read_text(encoding="utf-8")
+    diagnostics = check_text(text).sorted()
+    assert [(d.code, d.span.source.line_column(d.span.start)) for d in diagnostics if d.span is not None] == [
         ("missing-unit", (8, 13)),
         ("wrong-unit", (9, 13)),
         ("unknown-behaviour", (13, 11)),
@@ -125,26 +125,26 @@ def test_nine_mistakes_are_seven_errors_and_then_two_warnings() -> None:
         ("trail 2 }", "trail 2 /s }"), ("deposit trail 2\n", "deposit trail 2 /s\n"), ("; load = 1", ""),
     ):  # fmt: skip
         text = text.replace(wrong, right)
-    found += told(text).sorted()
-    places = [(d.code, d.span.source.line_column(d.span.start)) for d in found[7:] if d.span is not None]
-    assert {("unused-param", (7, 9)), ("unreachable-state", (22, 9))} <= set(places)
-    assert all(d.severity == "warning" for d in found[7:])
-    helps = " ".join(d.help or "" for d in found)
+    diagnostics += check_text(text).sorted()
+    positions = [(d.code, d.span.source.line_column(d.span.start)) for d in diagnostics[7:] if d.span is not None]
+    assert {("unused-param", (7, 9)), ("unreachable-state", (22, 9))} <= set(positions)
+    assert all(d.severity == "warning" for d in diagnostics[7:])
+    helps = " ".join(d.help or "" for d in diagnostics)
     for text in ("`30 mm/s`", "`4 mm`", "`wander`", "`carry`", "`slowing`", "`deposit trail 2 /s`", "`when … -> dig`"):
         assert text in helps
 
 
-def test_a_let_that_a_state_declares_twice_is_told() -> None:
-    found = told(MINIMAL.format("  state s { let a = 1; let a = 2; steer heading * a }"))
-    assert [d.code for d in found.errors] == ["duplicate-name"]
+def test_a_let_that_a_state_declares_twice_is_reported() -> None:
+    report = check_text(MINIMAL.format("  state s { let a = 1; let a = 2; steer heading * a }"))
+    assert [d.code for d in report.errors] == ["duplicate-name"]
 
 
 def test_a_fix_can_be_put_in_place() -> None:
     text = MINIMAL.format("  max_speed 30\n  state s { steer wander() }")
-    fix = told(text).errors[0].fix
+    fix = check_text(text).errors[0].fix
     assert fix is not None
     mended = text[: fix.span.start] + fix.text + text[fix.span.end :]
-    assert complaints(told(mended)) == []
+    assert complaints(check_text(mended)) == []
 
 
 def test_a_check_calls_few_functions_and_needs_no_heavy_library() -> None:
@@ -163,20 +163,20 @@ assert not report.diagnostics
 heavy = {"open3d", "scipy", "trimesh", "numpy", "pydantic"} & set(sys.modules)
 print(calls, *heavy)
 """
-    code = code.replace("from test_program_cases import told", TOLD)
-    done = subprocess.run(
-        [sys.executable, "-c", code, str(HERE / "programs" / "forager.ant")],
+    code = code.replace("from test_program_cases import told", CHECK_SCRIPT)
+    process = subprocess.run(
+        [sys.executable, "-c", code, str(TESTS_FOLDER / "programs" / "forager.ant")],
         capture_output=True,
         text=True,
-        cwd=HERE.parent,
+        cwd=TESTS_FOLDER.parent,
         timeout=60,
     )
-    calls, *heavy = done.stdout.split()
-    assert not heavy and not done.stderr
+    calls, *heavy = process.stdout.split()
+    assert not heavy and not process.stderr
     assert int(calls) < 400_000
 
 
-TOLD = """
+CHECK_SCRIPT = """
 from antdsl.program import check
 from antdsl.resources import library_file
 from antdsl.source import Source
@@ -211,9 +211,9 @@ def test_rates_and_amounts() -> None:
         and isinstance(add.value, model.Const)
         and add.value.number == pytest.approx(0.1)
     )
-    once, less = s.transitions[0].actions
-    assert isinstance(once, model.Ask) and not once.per_second
-    assert isinstance(less, model.Assign) and not less.per_second and less.op == "-="
+    deposit, decrease = s.transitions[0].actions
+    assert isinstance(deposit, model.Ask) and not deposit.per_second
+    assert isinstance(decrease, model.Assign) and not decrease.per_second and decrease.op == "-="
     assert isinstance(r.body[0], model.Assign) and not r.body[0].per_second
     keeps = program.fields["t"].keeps
     assert isinstance(keeps, model.Const) and (keeps.number, keeps.step) == (0.9, 0)
@@ -225,7 +225,7 @@ def test_units_are_worked_out() -> None:
         "  state s { when speedy > 1 mm/s and far > 1 mm and turn > 1 deg/s and n > 1 -> s }\n}\n"
     )
     assert {d.code for d in report.diagnostics} == {"constant-attribute"}
-    values = {a.name: a.default for a in program.species["a"].attributes if not a.given}
+    values = {a.name: a.default for a in program.species["a"].attributes if not a.is_builtin}
     got = {name: (v.number, v.u, tuple(v.type.dim)) for name, v in values.items() if isinstance(v, model.Const)}
     assert got["speedy"] == (pytest.approx(0.5), 0, (1, -1, 0, 0))
     assert got["far"] == (3, 1, (1, 0, 0, 0))
@@ -333,7 +333,7 @@ def test_doubling_behaviours_are_counted_before_they_are_put_in_place() -> None:
         f"behaviour b{n}() -> push {{ b{n - 1}() + b{n - 1}() }}" for n in range(1, 31)
     ]
     started = time.process_time()
-    report = told("ant 1\n" + "\n".join(lines) + "\nspecies a { state s { steer b30() } }\n")
+    report = check_text("ant 1\n" + "\n".join(lines) + "\nspecies a { state s { steer b30() } }\n")
     assert [d.code for d in report.errors] == ["too-large"]
     assert time.process_time() - started < 2
 
@@ -342,37 +342,39 @@ def test_lets_made_of_each_other_twice_are_looked_at_once() -> None:
     """Put in place of each other they would be 2^60 operations."""
     twice = "".join(f"  let x{n} = x{n + 1} + x{n + 1}\n  let y{n} = y{n + 1} and y{n + 1}\n" for n in range(60))
     ends = "  let x60 = age / 1 s\n  let y60 = uniform(0, 1) > 0.5\n"
-    assert told(MINIMAL.format(twice + ends + "  state s { when x0 > 1 and y0 -> s }")).ok
+    assert check_text(MINIMAL.format(twice + ends + "  state s { when x0 > 1 and y0 -> s }")).ok
 
 
 def test_long_chains_do_not_break_the_checker() -> None:
     chain = [f"  let x{n} = x{n + 1} + 1" for n in range(200)] + ["  let x200 = age / 1 s"]
-    assert told(MINIMAL.format("\n".join(chain) + "\n  state s { when x0 > 1 -> s }")).ok
+    assert check_text(MINIMAL.format("\n".join(chain) + "\n  state s { when x0 > 1 -> s }")).ok
     calls = ["behaviour b0() -> push { heading }"] + [f"behaviour b{n}() -> push {{ b{n - 1}() }}" for n in range(1, 400)]
-    report = told("ant 1\n" + "\n".join(calls) + "\nspecies a { state s { steer b399() } }\n")
+    report = check_text("ant 1\n" + "\n".join(calls) + "\nspecies a { state s { steer b399() } }\n")
     assert {d.code for d in report.errors} == {"too-deep"}
     nested = "max(" * 60 + "age" + ", 1 s)" * 60
-    assert told(MINIMAL.format(f"  state s {{ when {nested} > 1 s -> s }}")).ok
+    assert check_text(MINIMAL.format(f"  state s {{ when {nested} > 1 s -> s }}")).ok
     flat = " + ".join(["1"] * 150)
-    deep = ["behaviour c0(x: number) -> number { x }"] + [
+    behaviour_chain = ["behaviour c0(x: number) -> number { x }"] + [
         f"behaviour c{n}(x: number) -> number {{ c{n - 1}(x + {flat}) }}" for n in range(1, 30)
     ]
-    assert {d.code for d in told("ant 1\n" + "\n".join(deep) + "\nspecies a { state s { when c29(1) > 2 -> s } }\n").errors} <= {
-        "too-deep"
-    }
+    assert {
+        d.code
+        for d in check_text("ant 1\n" + "\n".join(behaviour_chain) + "\nspecies a { state s { when c29(1) > 2 -> s } }\n").errors
+    } <= {"too-deep"}
 
 
 def test_caps_on_what_a_species_declares() -> None:
     states = "".join(f"  state s{n} {{ when after 1 s -> s{(n + 1) % 300} }}\n" for n in range(300))
-    assert [d.code for d in told(MINIMAL.format("  start s0\n" + states)).errors] == ["too-many"]
+    assert [d.code for d in check_text(MINIMAL.format("  start s0\n" + states)).errors] == ["too-many"]
     layers = "\n".join(["    heading"] * 40)
     assert [
-        d.code for d in told(MINIMAL.format("  state s { steer heading }\n  layers {\n    state\n" + layers + "\n  }")).errors
+        d.code
+        for d in check_text(MINIMAL.format("  state s { steer heading }\n  layers {\n    state\n" + layers + "\n  }")).errors
     ] == ["too-many"]
 
 
 def test_one_unknown_name_is_one_complaint() -> None:
-    report = told(
+    report = check_text(
         MINIMAL.format(
             "  let a = nowhere + 1 mm\n  let b = a * 2\n  state s { steer heading * b; when b > 1 -> s; when no a -> s }"
         )

@@ -28,7 +28,7 @@ field trail on ground { cell 4 mm; half_life 8 s }
 species rabbit { energy = 1; state run { deposit trail energy * 1 /s } }
 species forager {
 """
-WANTED = re.compile(r"# (error|warning)\[([a-z-]+)\](?: (?:(\d+) )?above)?(?:: (.*))?$")
+EXPECTATION = re.compile(r"# (error|warning)\[([a-z-]+)\](?: (?:(\d+) )?above)?(?:: (.*))?$")
 
 
 @dataclass(frozen=True)
@@ -49,13 +49,13 @@ def parts() -> Iterator[Part]:
             line += text.count("\n") + 1
 
 
-def told(text: str, name: str = "case.ant") -> Report:
+def check_text(text: str, name: str = "case.ant") -> Report:
     file, report = parse(Source(name, text))
     report.extend(check(file, library)[1])
     return report
 
 
-def whole(part: Part) -> tuple[str, int]:
+def complete_text(part: Part) -> tuple[str, int]:
     """The part as a program, and how many lines stand above it."""
     if part.text.startswith("ant "):
         return part.text, 0
@@ -64,33 +64,33 @@ def whole(part: Part) -> tuple[str, int]:
 
 
 @pytest.mark.parametrize("part", list(parts()), ids=str)
-def test_what_is_told(part: Part) -> None:
-    text, above = whole(part)
-    wanted: dict[tuple[int, str, str], str] = {}
+def test_reports_match_the_comments_of_a_case(part: Part) -> None:
+    text, above = complete_text(part)
+    expected: dict[tuple[int, str, str], str] = {}
     for number, line in enumerate(part.text.splitlines(), 1):
-        for severity, code, back, words in WANTED.findall(line):
+        for severity, code, back, words in EXPECTATION.findall(line):
             up = (int(back) if back else 1) if "above" in line else 0
-            wanted[(number - up, severity, code)] = words
-    found = {}
-    for each in told(text).sorted():
+            expected[(number - up, severity, code)] = words
+    messages = {}
+    for each in check_text(text).sorted():
         assert each.span is not None, each
         place = (each.span.source.line_column(each.span.start)[0] - above, each.severity, each.code)
-        if place in wanted or each.severity == "error" or above == 0:
-            found[place] = f"{each.message} | {each.help}"
+        if place in expected or each.severity == "error" or above == 0:
+            messages[place] = f"{each.message} | {each.help}"
         assert each.help, each
         assert not each.message[0].isupper() and "\n" not in each.message, each
-    assert set(found) == set(wanted), found
-    for place, words in wanted.items():
-        assert words in found[place], found[place]
+    assert set(messages) == set(expected), messages
+    for place, words in expected.items():
+        assert words in messages[place], messages[place]
 
 
 @pytest.mark.parametrize("part", [part for part in parts() if part.file.stem == "ranges"], ids=str)
 def test_what_is_to_be_written_for_a_param_and_its_range_goes_together(part: Part) -> None:
-    text, _ = whole(part)
-    fixes = [each.fix for each in told(text).errors if each.fix is not None]
+    text, _ = complete_text(part)
+    fixes = [each.fix for each in check_text(text).errors if each.fix is not None]
     for fix in sorted(fixes, key=lambda fix: -fix.span.start):
         text = text[: fix.span.start] + fix.text + text[fix.span.end :]
-    assert not fixes or told(text).ok, text
+    assert not fixes or check_text(text).ok, text
 
 
 def test_every_code_of_the_checker_has_a_case() -> None:
@@ -98,6 +98,6 @@ def test_every_code_of_the_checker_has_a_case() -> None:
     mine = text[text.index("# --- names ---") : text.index("# --- scenes ---")]
     codes = set(re.findall(r'^    "([a-z-]+)":', mine, flags=re.MULTILINE))
     assert codes <= set(CODES)
-    shown = {code for part in parts() for line in part.text.splitlines() for _, code, _, _ in WANTED.findall(line)}
+    tested_codes = {code for part in parts() for line in part.text.splitlines() for _, code, _, _ in EXPECTATION.findall(line)}
     elsewhere = {"per-step", "too-deep", "too-many", "missing-target"}  # tests of their own in test_program.py
-    assert codes - shown == elsewhere, "each code of the checker has a case in tests/cases/check/*.ant"
+    assert codes - tested_codes == elsewhere, "each code of the checker has a case in tests/cases/check/*.ant"

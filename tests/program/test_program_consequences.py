@@ -89,15 +89,17 @@ def test_the_program_without_a_slip_is_clean() -> None:
 @pytest.mark.parametrize(("right", "wrong", "code", "place", "help"), SLIPS, ids=[slip[1] for slip in SLIPS])
 def test_one_slip_is_one_complaint(right: str, wrong: str, code: str, place: str, help: str) -> None:
     assert right in GOOD
-    found = complaints(GOOD.replace(right, wrong, 1))
-    assert [d.code for d in found] == [code], [f"{d.span}: {d.message}" for d in found]
-    assert found[0].span is not None and found[0].span.text == place
+    diagnostics = complaints(GOOD.replace(right, wrong, 1))
+    assert [d.code for d in diagnostics] == [code], [f"{d.span}: {d.message}" for d in diagnostics]
+    assert diagnostics[0].span is not None and diagnostics[0].span.text == place
     line = GOOD[: GOOD.index(right)].count("\n") + 1
-    assert found[0].span.source.line_column(found[0].span.start)[0] - line == wrong.count("\n", 0, wrong.find("please") + 1)
-    assert help in (found[0].help or "")
+    assert diagnostics[0].span.source.line_column(diagnostics[0].span.start)[0] - line == wrong.count(
+        "\n", 0, wrong.find("please") + 1
+    )
+    assert help in (diagnostics[0].help or "")
 
 
-def test_mistakes_apart_from_a_broken_line_are_still_told() -> None:
+def test_mistakes_beside_a_broken_line_are_reported() -> None:
     text = GOOD.replace("swing: 40 deg", "swing = 40 deg").replace("0.15 s", "0.15").replace("from meal ->", "from meel ->")
     assert sorted(d.code for d in complaints(text)) == ["missing-unit", "unexpected-text", "unknown-name"]
 
@@ -109,8 +111,8 @@ def test_a_state_without_a_way_out_is_still_a_trap() -> None:
 
 
 def test_choose_without_states_has_no_target() -> None:
-    found = complaints(GOOD.replace("when meal -> approach", "when meal -> choose { }"))
-    assert [d.code for d in found] == ["missing-target"]
+    diagnostics = complaints(GOOD.replace("when meal -> approach", "when meal -> choose { }"))
+    assert [d.code for d in diagnostics] == ["missing-target"]
 
 
 BESIDE = [  # what seems idle beside a mistake, and may be what was meant there
@@ -130,10 +132,10 @@ BESIDE = [  # what seems idle beside a mistake, and may be what was meant there
 
 
 @pytest.mark.parametrize(("right", "wrong", "code"), BESIDE, ids=[case[1].splitlines()[0] for case in BESIDE])
-def test_what_seems_idle_beside_a_mistake_is_not_told(right: str, wrong: str, code: str) -> None:
+def test_idle_parts_beside_a_mistake_are_not_reported(right: str, wrong: str, code: str) -> None:
     assert right in GOOD
-    found = complaints(GOOD.replace(right, wrong, 1))
-    assert [d.code for d in found] == [code], [f"{d.span}: {d.message}" for d in found]
+    diagnostics = complaints(GOOD.replace(right, wrong, 1))
+    assert [d.code for d in diagnostics] == [code], [f"{d.span}: {d.message}" for d in diagnostics]
 
 
 def test_uses_of_a_state_that_was_taken_out_are_one_complaint_with_all_places() -> None:
@@ -142,14 +144,14 @@ def test_uses_of_a_state_that_was_taken_out_are_one_complaint_with_all_places() 
     anywhere = "from any except approach when load > 9 -> choose { search: 1; approach: 2 }"
     text = text.replace("  layers {", f"  {anywhere}\n  layers {{ heading when state == approach; ")
     text += 'spec "x" on "scene.yaml" { always: share(state == approach) < 1; each forager { never: previous == approach } }\n'
-    (found,) = [d for d in complaints(text) if d.severity == "error"]
-    assert found.code == "unknown-state" and found.span is not None
-    places = [found.span, *(label.span for label in found.labels)]
-    assert {span.text for span in places} == {"approach"} and len({span.start for span in places}) == len(places)
-    assert len(places) == len([1 for _ in re.finditer(r"\bapproach\b", text)]) == 7
+    (diagnostic,) = [d for d in complaints(text) if d.severity == "error"]
+    assert diagnostic.code == "unknown-state" and diagnostic.span is not None
+    spans = [diagnostic.span, *(label.span for label in diagnostic.labels)]
+    assert {span.text for span in spans} == {"approach"} and len({span.start for span in spans}) == len(spans)
+    assert len(spans) == len([1 for _ in re.finditer(r"\bapproach\b", text)]) == 7
 
 
 def test_of_very_many_places_some_are_shown() -> None:
     text = GOOD.replace("deposit trail 2 /s\n", "".join(f"when age > {n} s -> gone\n" for n in range(30)))
-    (found,) = [d for d in complaints(text) if d.severity == "error"]
-    assert len(found.labels) == 12 and found.labels[-1].text == "and here, and at 17 more places"
+    (diagnostic,) = [d for d in complaints(text) if d.severity == "error"]
+    assert len(diagnostic.labels) == 12 and diagnostic.labels[-1].text == "and here, and at 17 more places"

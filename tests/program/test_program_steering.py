@@ -31,15 +31,17 @@ ROAD = np.stack([np.linspace(-150, 150, 61), np.zeros(61), 20 * np.sin(np.linspa
 
 
 def crowd(species: str, *points: tuple[float, float]) -> CrowdData:
-    places = np.array([(x, 0.0, z) for x, z in points])
-    return CrowdData(species, len(points), PlaceData(points=places))
+    positions = np.array([(x, 0.0, z) for x, z in points])
+    return CrowdData(species, len(points), PlaceData(points=positions))
 
 
 def scene(
-    steer: str, *crowds: CrowdData, food: tuple[float, float] = (60, 0), fps: int = 24, turned: str = "0 deg", more: str = ""
+    steer: str, *crowds: CrowdData, food: tuple[float, float] = (60, 0), fps: int = 24, turned: str = "0 deg", members: str = ""
 ) -> World:
     """Animals that wish `steer` and set out along x, on a plane with a rock at (40, 0), a road and one item of food."""
-    turn = more + f"  on spawn {{ heading = rotate(vector(1, 0, 0), about: up, by: {turned}); velocity = heading * 20 mm/s }}\n"
+    turn = (
+        members + f"  on spawn {{ heading = rotate(vector(1, 0, 0), about: up, by: {turned}); velocity = heading * 20 mm/s }}\n"
+    )
     text = HEAD + f"species ant {{\n{turn}  state s {{ steer {steer} }}\n}}\n"
     program, report = checked(text)
     assert report.ok, complaints(report)
@@ -63,31 +65,31 @@ def scene(
 
 def run(world: World, steps: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Positions and velocities (steps, agents, 3) of `ant` in the plane's own axes."""
-    places, speeds = [], []
+    positions, speeds = [], []
     for _ in range(steps):
         step(world)
         ants = world.populations["ant"]
         order = np.argsort(ants.ids)
-        places.append(ants.position[order] + world.origin)
+        positions.append(ants.position[order] + world.origin)
         speeds.append(np.stack([ants.now[f"velocity.{a}"][order] for a in "xyz"], axis=1).astype(float))
-    return np.array(places), np.array(speeds)
+    return np.array(positions), np.array(speeds)
 
 
-def far(places: NDArray[np.float64], x: float, z: float) -> NDArray[np.float64]:
-    return np.hypot(places[..., 0] - x, places[..., 2] - z)
+def far(positions: NDArray[np.float64], x: float, z: float) -> NDArray[np.float64]:
+    return np.hypot(positions[..., 0] - x, positions[..., 2] - z)
 
 
 def test_seek_goes_there_at_full_speed_and_flee_away() -> None:
-    places, speeds = run(scene("seek(nearest(food))", crowd("ant", (0, 60))), 40)
-    assert far(places, 60, 0)[-1, 0] < 45
+    positions, speeds = run(scene("seek(nearest(food))", crowd("ant", (0, 60))), 40)
+    assert far(positions, 60, 0)[-1, 0] < 45
     assert np.linalg.norm(speeds[-1, 0]) == pytest.approx(30, rel=0.02)
-    places, _ = run(scene("flee(nearest(food))", crowd("ant", (30, 10))), 48)
-    assert (np.diff(far(places, 60, 0)[10:, 0]) > 0).all()
+    positions, _ = run(scene("flee(nearest(food))", crowd("ant", (30, 10))), 48)
+    assert (np.diff(far(positions, 60, 0)[10:, 0]) > 0).all()
 
 
 def test_arrive_slows_down_and_stays() -> None:
-    places, speeds = run(scene("arrive(nearest(food), slowing: 20 mm)", crowd("ant", (0, 30))), 200)
-    gap = far(places, 60, 0)[:, 0]
+    positions, speeds = run(scene("arrive(nearest(food), slowing: 20 mm)", crowd("ant", (0, 30))), 200)
+    gap = far(positions, 60, 0)[:, 0]
     assert gap[-1] < 0.5 and gap[-60:].max() < 2
     assert np.linalg.norm(speeds[-1, 0]) < 1
     assert np.linalg.norm(speeds, axis=2)[gap > 25, 0].max() > 29
@@ -95,9 +97,9 @@ def test_arrive_slows_down_and_stays() -> None:
 
 def test_pursue_meets_what_moves_earlier_than_seek() -> None:
     def closest(steer: str) -> int:
-        places, _ = run(scene(steer, crowd("ant", (0, 0)), crowd("other", (-60, -40))), 150)
+        positions, _ = run(scene(steer, crowd("ant", (0, 0)), crowd("other", (-60, -40))), 150)
         path = -40 + 15 * np.arange(1, 151) / 24
-        return int(np.argmax(np.hypot(places[:, 0, 0] + 60, places[:, 0, 2] - path) < 4) or 999)
+        return int(np.argmax(np.hypot(positions[:, 0, 0] + 60, positions[:, 0, 2] - path) < 4) or 999)
 
     sought, pursued = closest("seek(nearest(other))"), closest("pursue(nearest(other), ahead: 3 s)")
     cut_off = closest("offset_pursuit(nearest(other), ahead: 3 s)")
@@ -106,9 +108,9 @@ def test_pursue_meets_what_moves_earlier_than_seek() -> None:
 
 
 def test_evade_leaves_the_way_of_what_comes() -> None:
-    places, _ = run(scene("evade(nearest(other), ahead: 2 s)", crowd("ant", (5, 0)), crowd("other", (0, -60))), 120)
+    positions, _ = run(scene("evade(nearest(other), ahead: 2 s)", crowd("ant", (5, 0)), crowd("other", (0, -60))), 120)
     path = -60 + 15 * np.arange(1, 121) / 24
-    assert np.hypot(places[:, 0, 0], places[:, 0, 2] - path).min() > 25
+    assert np.hypot(positions[:, 0, 0], positions[:, 0, 2] - path).min() > 25
 
 
 def test_wander_turns_smoothly_both_ways_and_the_same_at_any_frame_rate() -> None:
@@ -137,10 +139,10 @@ def test_avoid_goes_round_a_rock() -> None:
 
 def test_turn_back_turns_at_the_rim() -> None:
     world = scene("turn_back(road, margin: 20 mm) + toward(heading) * 0.3", crowd("ant", (-60, 60)), turned="90 deg")
-    places, _ = run(world, 120)
-    assert places[:, 0, 2].min() > ROAD[:, 2].min() - 5
-    assert far(places, -60, 60)[:, 0].max() > 20
-    assert places[-1, 0, 2] > places[:, 0, 2].min() + 10
+    positions, _ = run(world, 120)
+    assert positions[:, 0, 2].min() > ROAD[:, 2].min() - 5
+    assert far(positions, -60, 60)[:, 0].max() > 20
+    assert positions[-1, 0, 2] > positions[:, 0, 2].min() + 10
 
 
 def test_climb_keeps_to_a_winding_trail() -> None:
@@ -148,10 +150,10 @@ def test_climb_keeps_to_a_winding_trail() -> None:
         world = scene(steer, crowd("ant", *[(-90.0, 105.0 + offset) for offset in range(-8, 9, 4)]))
         trail = world.fields["trail"]
         x, _, z = (trail.cells.position + world.origin).T
-        trail.values[:] = np.where(np.abs(z - _way(x)) < 10, 1 + (x + 200) / 400, 0.0)
-        places, _ = run(world, 144)
-        assert (places[-1, :, 0] > 20).all()  # not round and round on it
-        return np.abs(places[..., 2] - _way(places[..., 0]))
+        trail.values[:] = np.where(np.abs(z - _trail_z(x)) < 10, 1 + (x + 200) / 400, 0.0)
+        positions, _ = run(world, 144)
+        assert (positions[-1, :, 0] > 20).all()  # not round and round on it
+        return np.abs(positions[..., 2] - _trail_z(positions[..., 0]))
 
     assert np.quantile(beside("climb(trail)"), 0.95) < 14
     assert np.quantile(beside("toward(heading)"), 0.95) > 20
@@ -162,9 +164,9 @@ def test_antennae_keep_to_a_trail_however_faint_it_is() -> None:
         world = scene(steer, crowd("ant", *[(-90.0, 100.0 + offset) for offset in (-12, -7, 1, 6, 11)]))
         trail = world.fields["trail"]
         x, _, z = (trail.cells.position + world.origin).T
-        trail.values[:] = strength * np.exp(-(((z - _way(x)) / 10) ** 2))
-        places, _ = run(world, 144)
-        return np.abs(places[48:, :, 2] - _way(places[48:, :, 0])).max(axis=0)
+        trail.values[:] = strength * np.exp(-(((z - _trail_z(x)) / 10) ** 2))
+        positions, _ = run(world, 144)
+        return np.abs(positions[48:, :, 2] - _trail_z(positions[48:, :, 0])).max(axis=0)
 
     strong, faint = (beside("antennae(trail, reach: 8 mm)", strength) for strength in (40.0, 0.05))
     assert strong.max() < 8 and faint.max() < 8
@@ -173,7 +175,7 @@ def test_antennae_keep_to_a_trail_however_faint_it_is() -> None:
 
 
 def test_antennae_turn_by_the_relative_difference_to_the_stronger_side() -> None:
-    world = scene("antennae(trail, reach: 8 mm, spread: 40 deg)", crowd("ant", (0.0, 0.0)), more="response 1 step\n")
+    world = scene("antennae(trail, reach: 8 mm, spread: 40 deg)", crowd("ant", (0.0, 0.0)), members="response 1 step\n")
     trail = world.fields["trail"]
     _, _, z = (trail.cells.position + world.origin).T
     trail.values[:] = np.where(z < 0, 6.0, 2.0)  # left of x is -z
@@ -181,41 +183,41 @@ def test_antennae_turn_by_the_relative_difference_to_the_stronger_side() -> None
     assert np.degrees(np.arctan2(-speeds[0, 0, 2], speeds[0, 0, 0])) == pytest.approx(20, abs=0.01)  # 40 * (6 - 2) / (6 + 2)
 
 
-def _way(x: NDArray[np.float64]) -> NDArray[np.float64]:
+def _trail_z(x: NDArray[np.float64]) -> NDArray[np.float64]:
     """z of a trail that winds along x."""
     return 100 + 15 * np.sin(x / 25)
 
 
 def test_follow_goes_along_a_curve_as_it_was_drawn() -> None:
-    places, speeds = run(scene("follow(road, within: 25 mm)", crowd("ant", (-120, 5), (0, 100))), 140)
-    off = np.array([np.hypot(*(ROAD[:, [0, 2]] - p[[0, 2]]).T).min() for p in places[60:, 0]])
+    positions, speeds = run(scene("follow(road, within: 25 mm)", crowd("ant", (-120, 5), (0, 100))), 140)
+    off = np.array([np.hypot(*(ROAD[:, [0, 2]] - p[[0, 2]]).T).min() for p in positions[60:, 0]])
     assert off.max() < 6
-    assert places[-1, 0, 0] > 0 and (speeds[20:, 0, 0] > 0).all()
-    assert places[-1, 1, 2] == pytest.approx(100, abs=1)  # too far off to care
+    assert positions[-1, 0, 0] > 0 and (speeds[20:, 0, 0] > 0).all()
+    assert positions[-1, 1, 2] == pytest.approx(100, abs=1)  # too far off to care
 
 
 def test_follow_goes_against_the_drawing_or_by_the_smaller_turn() -> None:
-    for way, faced, goes in ((-1, 0, -1), (0, 60, 1), (0, 120, -1), (0.5, 120, 1)):
-        world = scene(f"follow(road, within: 25 mm, way: {way})", crowd("ant", (0, 5)), turned=f"{faced} deg")
-        places, _ = run(world, 110)
-        off = [np.hypot(*(ROAD[:, [0, 2]] - p[[0, 2]]).T).min() for p in places[80:, 0]]
-        assert max(off) < 6 and goes * places[-1, 0, 0] > 50, (way, faced)
+    for direction, faced, goes in ((-1, 0, -1), (0, 60, 1), (0, 120, -1), (0.5, 120, 1)):
+        world = scene(f"follow(road, within: 25 mm, way: {direction})", crowd("ant", (0, 5)), turned=f"{faced} deg")
+        positions, _ = run(world, 110)
+        off = [np.hypot(*(ROAD[:, [0, 2]] - p[[0, 2]]).T).min() for p in positions[80:, 0]]
+        assert max(off) < 6 and goes * positions[-1, 0, 0] > 50, (direction, faced)
 
 
 def test_along_goes_with_a_flow_and_against_it() -> None:
-    for steer, way in (("along(drift)", 1), ("along(drift, weight: -0.5)", -1)):
-        places, speeds = run(scene(steer, crowd("ant", (-100, 5), (0, 140))), 72)
-        off = np.array([np.hypot(*(ROAD[:, [0, 2]] - p[[0, 2]]).T).min() for p in places[:, 0]])
-        assert off[-1] < 40 and way * speeds[-1, 0, 0] > 20
-        assert places[-1, 1, 2] == pytest.approx(140) and speeds[-1, 1, 0] == pytest.approx(20, rel=1e-3)  # nothing there
+    for steer, direction in (("along(drift)", 1), ("along(drift, weight: -0.5)", -1)):
+        positions, speeds = run(scene(steer, crowd("ant", (-100, 5), (0, 140))), 72)
+        off = np.array([np.hypot(*(ROAD[:, [0, 2]] - p[[0, 2]]).T).min() for p in positions[:, 0]])
+        assert off[-1] < 40 and direction * speeds[-1, 0, 0] > 20
+        assert positions[-1, 1, 2] == pytest.approx(140) and speeds[-1, 1, 0] == pytest.approx(20, rel=1e-3)  # nothing there
 
 
 def test_separate_spreads_and_cohere_gathers() -> None:
     rng = np.random.default_rng(4)
     points = [tuple(p) for p in rng.uniform(-12, 12, (20, 2))]
     for steer, wider in (("separate(radius: 20 mm) + halt() * 0.5", True), ("cohere(radius: 60 mm) + halt() * 0.5", False)):
-        places, _ = run(scene(steer, crowd("ant", *points)), 60)
-        size = [np.linalg.norm(p - p.mean(axis=0), axis=1).mean() for p in (places[0], places[-1])]
+        positions, _ = run(scene(steer, crowd("ant", *points)), 60)
+        size = [np.linalg.norm(p - p.mean(axis=0), axis=1).mean() for p in (positions[0], positions[-1])]
         assert (size[1] > 1.2 * size[0]) if wider else (size[1] < 0.8 * size[0])
 
 
@@ -226,9 +228,9 @@ def test_give_way_lets_two_that_meet_pass_without_touching() -> None:
         for name in ("heading", "velocity"):  # the second comes the other way
             ants.now[f"{name}.x"][1] *= -1
             ants.start[f"{name}.x"][1] = ants.now[f"{name}.x"][1]
-        places, speeds = run(world, 110)
+        positions, speeds = run(world, 110)
         assert speeds[-1, 0, 0] > 15 and speeds[-1, 1, 0] < -15  # both still go their way
-        return float(np.linalg.norm(places[:, 0] - places[:, 1], axis=1).min())
+        return float(np.linalg.norm(positions[:, 0] - positions[:, 1], axis=1).min())
 
     assert nearest("toward(heading)") < 0.5
     assert nearest("give_way(radius: 12 mm) + toward(heading)") > 1.6  # room for the bodies of both
@@ -242,10 +244,10 @@ def test_keep_clear_leads_four_past_each_other_that_meet_in_one_place() -> None:
             speed = 20 if name == "velocity" else 1
             for state in (ants.start, ants.now):
                 state[f"{name}.x"][row], state[f"{name}.z"][row] = speed * x, speed * z
-    places, speeds = run(world, 150)
-    apart = [np.linalg.norm(places[:, a] - places[:, b], axis=1).min() for a in range(4) for b in range(a)]
-    assert min(apart) > 3.6 and places[-1, 0, 0] > 20 and places[-1, 1, 0] < -20  # their radii together are 4 mm
-    assert places[-1, 2, 2] < 80 and places[-1, 3, 2] > 120 and np.linalg.norm(speeds[-1], axis=1).min() > 15
+    positions, speeds = run(world, 150)
+    gaps = [np.linalg.norm(positions[:, a] - positions[:, b], axis=1).min() for a in range(4) for b in range(a)]
+    assert min(gaps) > 3.6 and positions[-1, 0, 0] > 20 and positions[-1, 1, 0] < -20  # their radii together are 4 mm
+    assert positions[-1, 2, 2] < 80 and positions[-1, 3, 2] > 120 and np.linalg.norm(speeds[-1], axis=1).min() > 15
 
 
 def test_align_makes_them_go_the_same_way() -> None:
@@ -270,15 +272,15 @@ def test_coast_goes_on_as_it_goes() -> None:
 @pytest.mark.parametrize("response", ["1 step", "0.001 s", "1.5 step"])
 def test_who_answers_within_a_step_does_not_overshoot(response: str) -> None:
     """An animal that may turn right round in a step has twice the strength, of which these ask for no more than they need."""
-    more = f"  response {response}\n"
+    members = f"  response {response}\n"
     exact = response != "1.5 step"
-    _, speeds = run(scene("halt()", crowd("ant", (0, 60)), more=more), 12)
+    _, speeds = run(scene("halt()", crowd("ant", (0, 60)), members=members), 12)
     assert np.linalg.norm(speeds, axis=2).max(axis=1)[0 if exact else -1] < (1e-4 if exact else 0.01)
-    _, speeds = run(scene("seek(nearest(food))", crowd("ant", (60, 90)), more=more), 20)
+    _, speeds = run(scene("seek(nearest(food))", crowd("ant", (60, 90)), members=members), 20)
     assert np.all(speeds[4:, 0, 2] < -29) and np.all(np.abs(speeds[4:, 0, 0]) < 0.5)  # straight there, not in zigzag
-    _, speeds = run(scene("adjust(vector(0, 0, 0.5))", crowd("ant", (0, 60)), more=more), 1)
+    _, speeds = run(scene("adjust(vector(0, 0, 0.5))", crowd("ant", (0, 60)), members=members), 1)
     assert speeds[0, 0] == pytest.approx((20, 0, 15 if exact else 10), abs=1e-3)
-    _, speeds = run(scene("wander(swing: 60 deg)", crowd("ant", (0, 60)), more=more), 24)
+    _, speeds = run(scene("wander(swing: 60 deg)", crowd("ant", (0, 60)), members=members), 24)
     assert np.ptp(np.linalg.norm(speeds[6:, 0], axis=1)) < 0.5  # one pace, instead of a short and a long step in turn
 
 

@@ -7,12 +7,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 from explained import cached
-from meaning import FAST, WAYS, Seen, crowd, play
+from meaning import FAST, OPTION_SETS, RunHistory, crowd, play
 from test_program import checked
 from test_specs import GROUND
 
 from antdsl.cli.new import FILES, ground
-from antdsl.explain import CacheHistory, Replay, accounts, explain, open_shot, tell
+from antdsl.explain import CacheHistory, Replay, explain, explain_agents, open_shot, tell
 from antdsl.pipeline import open_scene
 from antdsl.plan.lowering.source_map import RESTS
 from antdsl.runtime import bind, step
@@ -20,24 +20,24 @@ from antdsl.runtime import bind, step
 SET_OUT = "on spawn { velocity = vector(20 mm/s, 0 mm/s, 0 mm/s); heading = vector(1, 0, 0) }\n"
 
 
-def walker(rest: str = "", start: str = "rest", more: str = "", layers: str = "layers { state }") -> str:
+def walker(rest: str = "", start: str = "rest", members: str = "", layers: str = "layers { state }") -> str:
     """A species of which one state steers; the other one says `rest`."""
     return f"""use steering
-species a {{ {more}
+species a {{ {members}
 {SET_OUT}start {start}
 state go {{ steer vector(0, 0, 1); when after 0.5 s -> rest }}
 state rest {{ {rest}; when after 2 s -> go }}
 {layers} }}"""
 
 
-def speeds(seen: Seen, number: int = 0, species: str = "a") -> list[float]:
-    frames = [frame[species] for frame in seen.frames]
+def speeds(history: RunHistory, number: int = 0, species: str = "a") -> list[float]:
+    frames = [frame[species] for frame in history.frames]
     return [float(np.sqrt(sum(np.float64(f[f"velocity.{a}"][number]) ** 2 for a in "xyz"))) for f in frames]
 
 
 @pytest.mark.parametrize("more", ["", "response 1 step", "max_force 3 uN", "response 0.5 s"])
 def test_a_state_that_steers_nothing_stands_still_as_by_halt(more: str) -> None:
-    silent, said = (play(walker(rest, start="go", more=more), steps=20) for rest in ("", "steer halt()"))
+    silent, said = (play(walker(rest, start="go", members=more), steps=20) for rest in ("", "steer halt()"))
     for name in ("position.x", "position.z", "velocity.x", "velocity.z", "heading.x", "main.state"):
         assert silent.every(name) == said.every(name)
     assert speeds(silent)[5] > 1.0  # it went, and
@@ -47,15 +47,15 @@ def test_a_state_that_steers_nothing_stands_still_as_by_halt(more: str) -> None:
 
 def test_who_says_coast_goes_on_and_so_does_a_push_of_nothing() -> None:
     for rest in ("steer coast()", "steer vector(0, 0, 0)", "steer seek(nearest(food))"):
-        seen = play(walker(rest), steps=15)
-        assert speeds(seen)[-1] == pytest.approx(20, rel=1e-4), rest
+        history = play(walker(rest), steps=15)
+        assert speeds(history)[-1] == pytest.approx(20, rel=1e-4), rest
     assert speeds(play(walker(), steps=15))[-1] < 0.2
 
 
 def test_where_no_state_steers_the_layers_alone_move_it() -> None:
     text = f"species a {{ {SET_OUT}start s\nstate s {{ when after 1 s -> t }}\nstate t {{ when after 1 s -> s }}\n"
-    seen = play(text + "layers { vector(0, 0, 0.1) } }", steps=8)
-    assert seen["velocity.x"] == pytest.approx([20], rel=1e-3) and seen["velocity.z"][0] > 10
+    history = play(text + "layers { vector(0, 0, 0.1) } }", steps=8)
+    assert history["velocity.x"] == pytest.approx([20], rel=1e-3) and history["velocity.z"][0] > 10
     program, _ = checked("ant 1\n" + text + "}")
     assert program.species["a"].rest is None
 
@@ -71,10 +71,10 @@ machine legs {{ start walk
 machine fear {{ start brave
   state brave {{ when frame == 21 -> flee }}
   state flee {{ steer vector(0, 0, 1); when false -> brave }} }} }}"""
-    seen = play(text, steps=34)
-    x, z = seen.every("velocity.x"), seen.every("velocity.z")
+    history = play(text, steps=34)
+    x, z = history.every("velocity.x"), history.every("velocity.z")
     assert x[10] == pytest.approx(20, rel=1e-3) and z[10] > 1  # `brave` does not brake who walks
-    assert speeds(seen)[20] < 0.3  # neither steers
+    assert speeds(history)[20] < 0.3  # neither steers
     assert z[33] > 29.9  # and `stand` does not brake who flees
     program, _ = checked("ant 1\n" + text)
     assert program.species["a"].rest.silent == {"legs": (1,), "fear": (0,)}
@@ -102,7 +102,7 @@ def test_it_needs_no_library_and_minds_no_behaviour_of_the_same_name() -> None:
     text = walker().replace("use steering\n", 'behaviour halt() -> push { "Sideways."; vector(0, 0, 1) }\n')
     text = text.replace("steer vector(0, 0, 1)", "steer halt()")
     assert speeds(play(text, steps=15))[-1] < 0.2
-    assert [len(frame["a"]["id"]) for frame in play(text, crowd(3), steps=1, ways=WAYS).frames] == [3, 3]
+    assert [len(frame["a"]["id"]) for frame in play(text, crowd(3), steps=1, option_sets=OPTION_SETS).frames] == [3, 3]
 
 
 @pytest.mark.parametrize("rest, words", [("", RESTS), ("steer coast()", "coast()")])
@@ -114,14 +114,14 @@ def test_explain_says_why_it_stands_still(tmp_path: Path, rest: str, words: str)
         (tmp_path / name).write_text(content)
     cache = cached(tmp_path / "scene.yaml", 12, tmp_path / "out")
     replay = Replay(CacheHistory.of(cache, open_shot(cache)))
-    (told,) = accounts(replay, 3, [("a", 0)])
-    assert told is not None
+    (account,) = explain_agents(replay, 3, [("a", 0)])
+    assert account is not None
     words_of_strip = tell(explain(cache, 0, 3)).splitlines()[3]
     assert words_of_strip.startswith("  [rest 1..")  # and no name of a state stands before the first one's
-    assert [steer.text for steer in told.steers] == [words if words == RESTS else "steer coast()"]
-    assert f"state: {told.steers[0].text}" in tell(told)
-    assert (told.steers[0].length > 0.1) is (words == RESTS)
-    assert told.push == pytest.approx(told.steers[0].push)
+    assert [steer.text for steer in account.steers] == [words if words == RESTS else "steer coast()"]
+    assert f"state: {account.steers[0].text}" in tell(account)
+    assert (account.steers[0].length > 0.1) is (words == RESTS)
+    assert account.push == pytest.approx(account.steers[0].push)
 
 
 def test_the_ants_of_a_new_project_rest_where_they_are(tmp_path: Path) -> None:
@@ -143,7 +143,7 @@ def test_the_ants_of_a_new_project_rest_where_they_are(tmp_path: Path) -> None:
 
 def test_thousands_rest_alike_whatever_the_order_of_rows() -> None:
     text = walker(start="go").replace("when after 0.5 s -> rest", "when chance 100 %/s -> rest")
-    seen = play(text, crowd(2000, radius=300), steps=12, ways=FAST)
-    still = np.array(seen["main.state"]) == 1
-    speed = np.hypot(seen["velocity.x"], seen["velocity.z"])
+    history = play(text, crowd(2000, radius=300), steps=12, option_sets=FAST)
+    still = np.array(history["main.state"]) == 1
+    speed = np.hypot(history["velocity.x"], history["velocity.z"])
     assert 500 < still.sum() < 1900 and speed[still].mean() < speed[~still].mean() / 2

@@ -12,15 +12,15 @@ from meaning import crowd, item, play
 def value(text: str, at: float = 0.0) -> float:
     """`x` of an agent that stands so far from the one piece of food, after one step."""
     states = "start s\nstate s { when true -> t { x = y } }\nstate t { when false -> s }"
-    seen = play(f"species a {{ x = 0\n{text}\n{states} }}", crowd(at=[(at, 0)]), items={"food": (item("f", 0, 0),)})
-    return seen["x"][0]
+    history = play(f"species a {{ x = 0\n{text}\n{states} }}", crowd(at=[(at, 0)]), items={"food": (item("f", 0, 0),)})
+    return history["x"][0]
 
 
 @pytest.mark.parametrize(("at", "rising", "falling", "around"), [(0, 0, 1, 0), (20, 0, 1, 0), (30, 0.25, 0.75, 0.5),
                                                                  (40, 0.5, 0.5, 1), (60, 1, 0, 0), (90, 1, 0, 0)])  # fmt: skip
 def test_memberships_are_straight_between_their_ends(at: float, rising: float, falling: float, around: float) -> None:
-    for word, wanted in (("rising", rising), ("falling", falling), ("around", around)):
-        assert value(f"let y = {word}(distance(nearest(food)), 20 mm .. 60 mm)", at) == pytest.approx(wanted, abs=1e-6)
+    for word, expected in (("rising", rising), ("falling", falling), ("around", around)):
+        assert value(f"let y = {word}(distance(nearest(food)), 20 mm .. 60 mm)", at) == pytest.approx(expected, abs=1e-6)
 
 
 NEAR = "let near = falling(distance(nearest(food)), 20 mm .. 60 mm)\n"
@@ -54,8 +54,8 @@ def test_rules_are_the_weighted_mean_of_their_outputs(rules: list[tuple[float, f
     attributes = "".join(f"d{k} = {d:.9f}\no{k} = {abs(o):.9f}\n" for k, (d, o) in enumerate(rules))
     lines = "; ".join(f"d{k} -> {'-' if o < 0 else ''}o{k}" for k, (_, o) in enumerate(rules))
     d, o = np.array([float(f"{d:.9f}") for d, _ in rules]), np.array([o for _, o in rules])
-    wanted = float((d * o).sum() / d.sum()) if d.sum() > 0 else 0.0
-    assert value(f"{attributes}fuzzy y {{ {lines} }}") == pytest.approx(wanted, rel=1e-4, abs=1e-3)
+    expected = float((d * o).sum() / d.sum()) if d.sum() > 0 else 0.0
+    assert value(f"{attributes}fuzzy y {{ {lines} }}") == pytest.approx(expected, rel=1e-4, abs=1e-3)
 
 
 def test_rules_drive_changes_chances_and_pushes() -> None:
@@ -72,10 +72,10 @@ state gone { when false -> calm }"""
     )
     ring = [(40 * np.cos(k), 40 * np.sin(k)) for k in range(200)]  # half in the light
     flee = "behaviour flee(target: place) -> push { direction(target, to: self) }\n"
-    seen = play(f"{flee}species a {{ {text} }}", crowd(at=[(24, 0), (90, 0), *ring]), steps=3,
+    history = play(f"{flee}species a {{ {text} }}", crowd(at=[(24, 0), (90, 0), *ring]), steps=3,
                 items={"food": (item("f", 0, 0),)})  # fmt: skip
-    assert seen.states(0)[-1] == "gone" and seen.states(1)[-1] == "calm"
-    speeds = [seen.at("velocity.x", 1)[k] for k in (0, 1)]  # a kinematic push of 1 is twice the full speed
+    assert history.states(0)[-1] == "gone" and history.states(1)[-1] == "calm"
+    speeds = [history.at("velocity.x", 1)[k] for k in (0, 1)]  # a kinematic push of 1 is twice the full speed
     assert speeds == pytest.approx([0.9 * 0.25 * 20, 0], abs=1e-4)
-    gone = seen["main.state"][2:].count(1)
-    assert gone == pytest.approx(200 * (1 - np.exp(-2 * 0.5 * 0.3)), abs=25)
+    fled_count = history["main.state"][2:].count(1)
+    assert fled_count == pytest.approx(200 * (1 - np.exp(-2 * 0.5 * 0.3)), abs=25)

@@ -21,10 +21,10 @@ from any except dig when frame == 5 or frame == 11 -> dig
 
 
 def test_a_utility_state_leads_back_to_whatever_was_before() -> None:
-    seen = play(TEXT, crowd(2), steps=16)
-    assert seen.states(0) == ["search"] * 5 + ["dig"] * 2 + ["search"] * 4 + ["dig"] * 2 + ["search"] * 4
-    assert seen.states(1) == ["search"] + ["carry"] * 4 + ["dig"] * 2 + ["carry"] * 4 + ["dig"] * 2 + ["carry"] * 4
-    assert seen["digs"] == [2, 2] and seen["was_next"] == [1, 1] and seen["was_previous"] == [0, 1]
+    history = play(TEXT, crowd(2), steps=16)
+    assert history.states(0) == ["search"] * 5 + ["dig"] * 2 + ["search"] * 4 + ["dig"] * 2 + ["search"] * 4
+    assert history.states(1) == ["search"] + ["carry"] * 4 + ["dig"] * 2 + ["carry"] * 4 + ["dig"] * 2 + ["carry"] * 4
+    assert history["digs"] == [2, 2] and history["was_next"] == [1, 1] and history["was_previous"] == [0, 1]
 
 
 def test_loads_remember_their_source() -> None:
@@ -38,5 +38,5 @@ state p { when meal take 1 load from meal -> q { source = meal } }
 state q { from_near = if touching(source) then 1 else 0; when after 0.2 s -> r { give all load to nest } }
 state r { when false -> p } }"""
     items = {"food": (item("near", 0, 0, 5, load=2), item("far", 30, 0, 5, load=9)), "nest": (item("n", 0, 10),)}
-    seen = play(text, crowd(5), steps=8, items=items)
-    assert sum(seen["from_near"]) == 2 and seen.amounts("food") == [0, 6] and seen.amounts("nest") == [5]
+    history = play(text, crowd(5), steps=8, items=items)
+    assert sum(history["from_near"]) == 2 and history.amounts("food") == [0, 6] and history.amounts("nest") == [5]

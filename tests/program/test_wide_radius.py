@@ -54,12 +54,12 @@ def test_a_preview_is_whole_again_after_such_a_step(tmp_path: Path) -> None:
     session, report = Session.open(crowd(tmp_path, "3 mm"))
     assert session is not None, report.errors
     session.step()
-    before, frame = session.hash, session.frame
+    initial_hash, frame = session.hash, session.frame
     session.set("walker.sight", "900 mm")
     session.step()
     assert session.fault is not None and "8,192" in session.fault and session.frame == frame and not session.playing
     session.set("walker.sight", "3 mm")
-    assert session.hash == before
+    assert session.hash == initial_hash
     session.step()
     assert session.fault is None and session.frame == frame + 1
 
@@ -91,9 +91,9 @@ species walker {{
 """
 
 
-def asking(folder: Path, asked: str, place: str = "{on: ground}") -> World:
+def asking(folder: Path, expression: str, place: str = "{on: ground}") -> World:
     shutil.copytree(MINIMAL, folder, dirs_exist_ok=True)
-    (folder / "walker.ant").write_text(ASKING.format(asked=asked))
+    (folder / "walker.ant").write_text(ASKING.format(asked=expression))
     scene = folder / "scene.yaml"
     scene.write_text(re.sub("count: 50, place: {.*?}", f"count: {FEW}, place: {place}", scene.read_text()))
     shot, report = open_scene(scene)
@@ -156,7 +156,7 @@ def test_what_is_refused_is_marked_itself(
     ],
 )
 def test_a_check_tells_of_every_radius_that_reaches_all(asked: str, marked: list[str]) -> None:
-    given = "param sight = 900 m in 0 m .. 900 m\n  param near = 9 mm in 0 m .. 900 m\n  let reach = sight\n  let far ="
-    text = ASKING.format(asked=asked).replace("let far =", given).replace("surface ground", "surface ground; items home")
+    declarations = "param sight = 900 m in 0 m .. 900 m\n  param near = 9 mm in 0 m .. 900 m\n  let reach = sight\n  let far ="
+    text = ASKING.format(asked=asked).replace("let far =", declarations).replace("surface ground", "surface ground; items home")
     _, report = checked(text)
     assert [d.span.text for d in report.diagnostics if d.code == "wide-radius" and d.span is not None] == marked

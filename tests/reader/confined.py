@@ -19,7 +19,7 @@ from antdsl.reader import confinement, sandbox
 
 def main() -> None:
     folder, outside, port, parent = sys.argv[1], sys.argv[2], int(sys.argv[3]), os.getppid()
-    before = os.open(os.devnull, os.O_WRONLY)
+    null_descriptor = os.open(os.devnull, os.O_WRONLY)
     active = sandbox.confine([*confinement.installation(), folder])
     attempts: dict[str, Callable[[], object]] = {
         "read inside": lambda: Path(os.path.join(folder, "inside")).read_bytes(),
@@ -48,7 +48,7 @@ def main() -> None:
         "a thread": lambda: _thread(),
     }
     print(json.dumps({"active": active, **{name: _outcome(attempt) for name, attempt in attempts.items()}}))
-    os.close(before)
+    os.close(null_descriptor)
 
 
 def _outcome(attempt: Callable[[], object]) -> str:

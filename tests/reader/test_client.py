@@ -40,10 +40,10 @@ GREY = np.arange(12, dtype=np.uint16).reshape(3, 4) * 5000
 
 @pytest.fixture
 def reader(monkeypatch: pytest.MonkeyPatch) -> Iterator[Reader]:
-    made = Reader()
-    monkeypatch.setattr(client, "_reader", made)
-    yield made
-    made.end()
+    new_reader = Reader()
+    monkeypatch.setattr(client, "_reader", new_reader)
+    yield new_reader
+    new_reader.end()
 
 
 def samples() -> np.ndarray | None:
@@ -69,8 +69,8 @@ def test_an_image_that_is_none_or_too_large_is_refused(reader: Reader) -> None:
     with pytest.raises(ImageError, match="cannot be read as PNG"):
         read_image_file(b"\x89PNG\r\n\x1a\n" + bytes(90), "PNG", ("RGB",), 100)
     for modes, pixels in ((("RGB",), 100), (("I;16",), 11)):
-        found = read_image_file(png(GREY), "PNG", modes, pixels)
-        assert found.samples is None and (found.rows, found.columns, found.mode) == (3, 4, "I;16")
+        image = read_image_file(png(GREY), "PNG", modes, pixels)
+        assert image.samples is None and (image.rows, image.columns, image.mode) == (3, 4, "I;16")
 
 
 @pytest.mark.parametrize(
@@ -117,13 +117,13 @@ def test_a_request_that_failed_is_not_made_again(reader: Reader, monkeypatch: py
 
 
 def test_threads_take_turns(reader: Reader) -> None:
-    found: list[bool] = []
-    threads = [threading.Thread(target=lambda: found.append(np.array_equal(samples(), GREY))) for _ in range(6)]  # type: ignore[arg-type]
+    matches: list[bool] = []
+    threads = [threading.Thread(target=lambda: matches.append(np.array_equal(samples(), GREY))) for _ in range(6)]  # type: ignore[arg-type]
     for thread in threads:
         thread.start()
     for thread in threads:
         thread.join()
-    assert found == [True] * 6
+    assert matches == [True] * 6
 
 
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="a system without fork")
@@ -183,7 +183,7 @@ def test_a_check_by_many_processes_leaves_no_folder(monkeypatch: pytest.MonkeyPa
         assert "{mesh: ground.ply}" in text
         (folder / "scene.yaml").write_text(text.replace("{mesh: ground.ply}", height))
         scenes.append(folder / "scene.yaml")
-    found = check_all(scenes, Choices(), cores=2)
-    assert len(found.reports) == 12 and not any(report.errors for report in found.reports.values())
+    result = check_all(scenes, Choices(), cores=2)
+    assert len(result.reports) == 12 and not any(report.errors for report in result.reports.values())
     client._reader.end()
     assert not list((tmp_path / "temporary").glob(f"{private_folder._PREFIX}*"))

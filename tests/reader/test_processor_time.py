@@ -37,10 +37,10 @@ while os.read(0, 1 << 20):
 
 @pytest.fixture
 def reader(monkeypatch: pytest.MonkeyPatch) -> Iterator[Reader]:
-    made = Reader()
-    monkeypatch.setattr(client, "_reader", made)
-    yield made
-    made.end()
+    new_reader = Reader()
+    monkeypatch.setattr(client, "_reader", new_reader)
+    yield new_reader
+    new_reader.end()
 
 
 def program(does: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
@@ -68,10 +68,10 @@ def test_the_time_of_the_reader_is_charged(does: str, reader: Reader, monkeypatc
     program(does, monkeypatch, tmp_path)
     with pytest.raises(CpuBudgetSpent), cpu_budget.cpu_budget(1000):
         cpu_budget.charge(cpu_budget.remaining() - 100)
-        before = reader._seconds
+        start_seconds = reader._seconds
         with suppress(ReaderFailure):
             client.ask("image", {})
-        assert reader._seconds - before >= 0.1
+        assert reader._seconds - start_seconds >= 0.1
         used = 100 - cpu_budget.remaining()
         assert used >= 0.1
         cpu_budget.charge(cpu_budget.remaining() - 0.01)
@@ -197,9 +197,9 @@ def test_a_file_that_cannot_be_collected_is_collected_once(
     closures: dict[str, usd.Closure | usd.UsdError] = {}
     messages = set()
     for _ in range(3):
-        with pytest.raises(usd.UsdError) as found:
+        with pytest.raises(usd.UsdError) as error:
             usd.open_stage(Roots(tmp_path, {}), "a.usda", "/m", up="y", frames=[1], fps=Fraction(24), closures=closures)
-        messages.add((found.value.code, str(found.value), found.value.help, found.value.key))
+        messages.add((error.value.code, str(error.value), error.value.help, error.value.key))
         monkeypatch.setattr(client, "ask", lambda *_, **__: pytest.fail("asked again"))
     assert len(messages) == 1
 

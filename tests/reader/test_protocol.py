@@ -29,9 +29,9 @@ def framed(header: Any, body: bytes = b"") -> bytes:
 
 
 def test_a_message_is_read_as_it_was_written() -> None:
-    found = read_message(io.BytesIO(written({"x": [1, "é"]}, ARRAYS)), 1000)
-    assert found.document == {"x": [1, "é"]} and found.array("c", "u2", 1)[0] == 7
-    assert all(np.array_equal(found.arrays[name], array) for name, array in ARRAYS.items())
+    message = read_message(io.BytesIO(written({"x": [1, "é"]}, ARRAYS)), 1000)
+    assert message.document == {"x": [1, "é"]} and message.array("c", "u2", 1)[0] == 7
+    assert all(np.array_equal(message.arrays[name], array) for name, array in ARRAYS.items())
     texts = ("", "é\0", "b" * 100)
     packed = read_message(io.BytesIO(written({}, pack_texts("t", texts))), 1000)
     assert packed.packed_texts("t", 3) == texts
@@ -78,8 +78,8 @@ def test_any_bytes_are_a_message_or_refused() -> None:
             place = draw.randrange(len(data))
             data[place : place + draw.randint(0, 2)] = bytes(draw.choices(b'0129"[]{},:<fiu8x\xff\0', k=draw.randint(0, 3)))
         try:
-            found = read_message(io.BytesIO(bytes(data)), 1 << 16)
-            accepted += isinstance(found.document, dict)
+            message = read_message(io.BytesIO(bytes(data)), 1 << 16)
+            accepted += isinstance(message.document, dict)
         except ProtocolError:
             continue
     assert accepted  # changes within the numbers are values
@@ -104,8 +104,8 @@ def test_values_are_checked_when_they_are_used(use: Any) -> None:
 
 def test_a_refusal_has_a_known_code_and_printable_texts() -> None:
     sent = Refusal("bad-usd", "a\x1b[31m" + "b" * 5000, None, "prim").as_document()
-    found = Refusal.of_document(sent, {"bad-usd"})
-    assert found is not None and str(found).isprintable() and len(str(found)) <= 2000
+    parsed_refusal = Refusal.of_document(sent, {"bad-usd"})
+    assert parsed_refusal is not None and str(parsed_refusal).isprintable() and len(str(parsed_refusal)) <= 2000
     assert Refusal.of_document(sent, {"bad-mesh"}) is None
     for document in (None, [], {}, {**sent, "message": 3}, {**sent, "help": []}, {**sent, "key": None}):
         assert Refusal.of_document(document, {"bad-usd"}) is None

@@ -27,17 +27,17 @@ def outcomes(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
     (folder / "inside").write_text("x")
     outside.write_text("secret")
     (folder / "link").symlink_to(outside)
-    before = signal.signal(signal.SIGUSR1, signal.SIG_IGN)
+    previous_handler = signal.signal(signal.SIGUSR1, signal.SIG_IGN)
     try:
         with socket.create_server(("127.0.0.1", 0)) as server:
             program = Path(__file__).with_name("confined.py")
             command = [sys.executable, str(program), str(folder), str(outside), str(server.getsockname()[1])]
-            done = subprocess.run(command, capture_output=True, text=True, env=child_environment(), check=True)
+            process = subprocess.run(command, capture_output=True, text=True, env=child_environment(), check=True)
     finally:
-        signal.signal(signal.SIGUSR1, before)
+        signal.signal(signal.SIGUSR1, previous_handler)
     assert (folder / "inside").read_text() == "x" and sorted(os.listdir(folder)) == ["inside", "link"]
-    found: dict[str, Any] = json.loads(done.stdout)
-    return found
+    results: dict[str, Any] = json.loads(process.stdout)
+    return results
 
 
 def test_nothing_is_written_started_or_reached(outcomes: dict[str, Any]) -> None:
@@ -45,8 +45,8 @@ def test_nothing_is_written_started_or_reached(outcomes: dict[str, Any]) -> None
     assert active["rlimits"]
     if not active["seccomp"]:
         pytest.skip(f"this system has no seccomp filter: {active}")
-    done = {name for name, outcome in outcomes.items() if outcome == "done"}
-    assert done - set(BY_LANDLOCK) == set(ALLOWED)
+    successes = {name for name, outcome in outcomes.items() if outcome == "done"}
+    assert successes - set(BY_LANDLOCK) == set(ALLOWED)
 
 
 def test_only_the_private_folder_and_the_installation_are_readable(outcomes: dict[str, Any]) -> None:

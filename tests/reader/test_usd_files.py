@@ -60,24 +60,24 @@ def read(folder: Path, name: str, prim: str = "/ground", **granted: Path) -> usd
 
 
 def refused(folder: Path, name: str) -> str:
-    with pytest.raises(usd.UsdError) as found:
+    with pytest.raises(usd.UsdError) as error:
         read(folder, name)
-    assert found.value.code in ("bad-path", "bad-usd", "no-such-file", "not-a-file") and str(found.value).isprintable()
-    return str(found.value)
+    assert error.value.code in ("bad-path", "bad-usd", "no-such-file", "not-a-file") and str(error.value).isprintable()
+    return str(error.value)
 
 
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
     """A project, with files of every kind beside it."""
-    made = tmp_path / "project"
-    made.mkdir()
+    project = tmp_path / "project"
+    project.mkdir()
     (tmp_path / "file.usda").write_text(NAMED + MESH)
     (tmp_path / "closed.usda").write_text(NAMED + MESH)
     (tmp_path / "closed.usda").chmod(0)
     os.mkfifo(tmp_path / "pipe.usda")
     (tmp_path / "folder.usda").mkdir()
     (tmp_path / "link.usda").symlink_to(tmp_path / "pipe.usda")
-    return made
+    return project
 
 
 OUTSIDE = ("file", "closed", "pipe", "folder", "link", "nothing")
@@ -285,8 +285,8 @@ def test_an_answer_that_makes_no_sense_is_an_error(
 def test_usd_needs_a_grant_where_nothing_confines_the_reader(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "a.usda").write_text(GOOD)
     monkeypatch.setattr(client, "active_layers", lambda: {"rlimits": 1, "landlock": 0, "seccomp": 0})
-    with pytest.raises(usd.UsdError, match="no sandbox") as found:
+    with pytest.raises(usd.UsdError, match="no sandbox") as error:
         read(tmp_path, "a.usda")
-    assert found.value.help is not None and "--trust-usd" in found.value.help
+    assert error.value.help is not None and "--trust-usd" in error.value.help
     monkeypatch.setenv("ANTDSL_TRUST_USD", "1")
     assert len(read(tmp_path, "a.usda").raw.faces) == 2

@@ -26,7 +26,7 @@ def test_a_hundred_more_leave_the_first_with_the_same_start_and_draws() -> None:
     assert same(few, many, 500) == []
     turning = [name for name in few.populations["forager"].plan.registers if "wander" in name and "turning" in name]
     assert turning
-    seen = []
+    deviations = []
     for _ in range(FRAMES):
         step(few)
         step(many)
@@ -34,22 +34,22 @@ def test_a_hundred_more_leave_the_first_with_the_same_start_and_draws() -> None:
         searching = (a["main.state"] == 0) & (b["main.state"][:500] == 0)
         for name in turning:  # memory of nothing but its own draws
             assert np.array_equal(a[name][searching], b[name][:500][searching])
-        seen.append(a[turning[0]][searching].std())
-    assert min(seen) > 0.1
+        deviations.append(a[turning[0]][searching].std())
+    assert min(deviations) > 0.1
     assert same(few, many, 500) != []  # they do meet
 
 
-def far_stone(given: MeshData) -> MeshData:
+def far_stone(mesh: MeshData) -> MeshData:
     """The stones and one more, beyond the ground's rim."""
     corner = np.array([[460, 5, -430], [469, 5, -430], [460, 14, -430], [460, 5, -421]], float)
-    faces = np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]], np.int32) + len(given.vertices)
-    return MeshData(np.concatenate([given.vertices, corner]), np.concatenate([given.faces, faces]).astype(np.int32))
+    faces = np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]], np.int32) + len(mesh.vertices)
+    return MeshData(np.concatenate([mesh.vertices, corner]), np.concatenate([mesh.faces, faces]).astype(np.int32))
 
 
 def test_a_stone_far_from_every_path_changes_no_hash() -> None:
-    given = setting(around=(90.0, 0.0, 70.0))
-    stone = dataclasses.replace(given, obstacles={"stones": far_stone(given.obstacles["stones"])})
-    plain, edited = bind(shot().plan, given), bind(shot().plan, stone)
+    plain_setting = setting(around=(90.0, 0.0, 70.0))
+    stone = dataclasses.replace(plain_setting, obstacles={"stones": far_stone(plain_setting.obstacles["stones"])})
+    plain, edited = bind(shot().plan, plain_setting), bind(shot().plan, stone)
     for _ in range(2 * FRAMES):  # until some have found food
         assert state_hash(plain) == state_hash(edited)
         step(plain)
@@ -68,7 +68,7 @@ species stroller {
 """
 
 
-def test_a_species_that_nobody_meets_changes_nothing_of_the_others(tmp_path: Path) -> None:
+def test_a_species_that_no_other_meets_changes_nothing_of_the_others(tmp_path: Path) -> None:
     for name in ("terrain.ply", "boulder.ply", "stones.ply", "forager.ant"):
         (tmp_path / name).write_bytes((EXAMPLE / name).read_bytes())
     (tmp_path / "stroller.ant").write_text(STROLLER)

@@ -95,10 +95,10 @@ def taken(world: World, main: Path, **texts: str) -> tuple[World, Migration]:
         old, new = change.split(" => ")
         assert old in path.read_text()
         path.write_text(path.read_text().replace(old, new))
-    before = state_hash(world)
+    old_hash = state_hash(world)
     shot = opened(main)
     now, what = take_over(world, shot.plan, shot.setting)
-    assert state_hash(world) == before
+    assert state_hash(world) == old_hash
     return now, what
 
 
@@ -160,7 +160,7 @@ def test_what_only_birth_sets_follows_the_text_and_its_params(scene: Path) -> No
     assert now.populations["ant"].now["size"].min() >= 7
 
 
-def test_a_value_of_another_dimension_begins_anew(scene: Path) -> None:
+def test_a_value_of_another_dimension_starts_again(scene: Path) -> None:
     world = started(scene)
     assert world.populations["ant"].now["load"].max() > 1
     scene.with_name("life.ant").write_text(PROGRAM.replace("load   = 1", "load   = 3 g").replace("load += 1 /s", "load += 1 g/s"))
@@ -178,7 +178,7 @@ behaviour counted() -> number {
 species ant {"""
 
 
-def test_a_memory_goes_on_by_its_identity_and_begins_anew_as_another_type(scene: Path) -> None:
+def test_a_memory_goes_on_by_its_identity_and_starts_again_as_another_type(scene: Path) -> None:
     program = PROGRAM.replace("species ant {", COUNTING).replace("load += 1 /s", "load = counted()")
     program = program.replace("target = nearest(food)", "load = counted()").replace("after 0.2 s -> rest", "after 60 s -> rest")
     scene.with_name("life.ant").write_text(program)
@@ -207,12 +207,12 @@ def test_items_that_agents_hold_are_known_by_name(scene: Path) -> None:
     assert set(now.populations["ant"].now["target"]) == {-1, 1}
 
 
-def test_agents_go_with_a_ground_whose_vertices_move(scene: Path) -> None:
+def test_agents_follow_a_ground_whose_vertices_move(scene: Path) -> None:
     world = started(scene)
-    before = world.populations["ant"].position.copy()
+    old_positions = world.populations["ant"].position.copy()
     save_ground(scene.parent, lift=40.0)
     now, what = taken(world, scene)
-    assert np.allclose(now.populations["ant"].position, before + np.array([0, 40, 0]), atol=1e-9)
+    assert np.allclose(now.populations["ant"].position, old_positions + np.array([0, 40, 0]), atol=1e-9)
     assert migration_line(what) == "kept 20 agents · 20 agents moved with the ground · `field trail` starts again"
     step(now)
 
@@ -237,25 +237,25 @@ def test_meshes_that_are_the_same_are_worked_out_once_and_others_forgotten(scene
 
 def test_agents_come_to_the_nearest_place_of_a_ground_of_other_faces(scene: Path) -> None:
     world = started(scene)
-    before = world.populations["ant"].position.copy()
+    old_positions = world.populations["ant"].position.copy()
     save_ground(scene.parent, cells=7, size=100.0)
     now, what = taken(world, scene)
-    nearest = np.clip(before, [-50, 0, -50], [50, 0, 50])
+    nearest = np.clip(old_positions, [-50, 0, -50], [50, 0, 50])
     assert np.abs(now.populations["ant"].position - nearest).max() < 0.05
-    assert what.species[0].moved == np.count_nonzero((np.abs(before) > 50.05).any(axis=1))
+    assert what.species[0].moved == np.count_nonzero((np.abs(old_positions) > 50.05).any(axis=1))
     step(now)
 
 
 def test_newcomers_get_new_ids_and_who_came_last_goes(scene: Path) -> None:
     world = started(scene)
-    more, what = taken(world, scene, scene="count: 20 => count: 26")
-    ants = more.populations["ant"]
+    larger, what = taken(world, scene, scene="count: 20 => count: 26")
+    ants = larger.populations["ant"]
     assert sorted(ants.ids) == list(range(26))
     assert (ants.born[ants.ids >= 20] == world.frame).all()
     assert migration_line(what) == "kept 20 agents · 6 more of `ant`"
     for _ in range(3):
-        step(more)
-    fewer, what = taken(more, scene, scene="count: 26 => count: 9")
+        step(larger)
+    fewer, what = taken(larger, scene, scene="count: 26 => count: 9")
     assert sorted(fewer.populations["ant"].ids) == list(range(9))
     assert migration_line(what) == "kept 9 agents · 17 of `ant` gone"
     again, _ = taken(fewer, scene, scene="count: 9 => count: 11")
@@ -266,10 +266,10 @@ def test_what_cannot_be_bound_leaves_the_old_world_alone(scene: Path) -> None:
     world = started(scene)
     scene.with_name("life.ant").write_text(PROGRAM.replace("half_life 8 s", "half_life 8 s; diffuse 300 mm^2/s"))
     shot = opened(scene)
-    before = state_hash(world)
+    old_hash = state_hash(world)
     with pytest.raises(BindError, match="spreads faster than its cells"):
         take_over(world, shot.plan, replace(shot.setting, fps=Fraction(1)))
-    assert state_hash(world) == before
+    assert state_hash(world) == old_hash
     step(world)
 
 
@@ -280,33 +280,33 @@ LIKING = PROGRAM.replace("load   = 1", "load   = 1\n  likes  = 0 relax to 0 over
 
 def likings(world: World, count: int) -> dict[int, list[tuple[int, float]]]:
     """What each ant keeps about whom, the strongest first."""
-    ants, found = world.populations["ant"], {}
+    ants, pairs_by_agent = world.populations["ant"], {}
     for row, agent in enumerate(ants.ids.tolist()):
         pairs = [(int(ants.now[who][row]), float(ants.now[value][row])) for who, value in slot_names("likes", count)]
-        found[agent] = sorted((pair for pair in pairs if pair[0] >= 0), key=lambda pair: (-abs(pair[1]), pair[0]))
-    return found
+        pairs_by_agent[agent] = sorted((pair for pair in pairs if pair[0] >= 0), key=lambda pair: (-abs(pair[1]), pair[0]))
+    return pairs_by_agent
 
 
-def test_values_per_pair_go_on_by_name_and_type_the_strongest_where_fewer_are_kept(scene: Path) -> None:
+def test_values_per_pair_go_on_by_name_and_type_the_strongest_where_fewer_fit(scene: Path) -> None:
     scene.with_name("life.ant").write_text(LIKING)
     world = started(scene, 12)
-    before = likings(world, 5)
-    assert sum(len(pairs) == 5 for pairs in before.values()) == 20
+    old_pairs = likings(world, 5)
+    assert sum(len(pairs) == 5 for pairs in old_pairs.values()) == 20
     fewer, what = taken(world, scene, life="strongest 5 => strongest 2")
     assert migration_line(what) == "kept 20 agents"
-    assert likings(fewer, 2) == {agent: pairs[:2] for agent, pairs in before.items()}
-    more, _ = taken(world, scene, life="strongest 2 => strongest 7")
-    assert likings(more, 7) == before
+    assert likings(fewer, 2) == {agent: pairs[:2] for agent, pairs in old_pairs.items()}
+    larger, _ = taken(world, scene, life="strongest 2 => strongest 7")
+    assert likings(larger, 7) == old_pairs
     for _ in range(9):
-        step(more)
+        step(larger)
         step(fewer)
     assert all(len(pairs) <= 2 for pairs in likings(fewer, 2).values())
-    assert any(len(pairs) > 5 for pairs in likings(more, 7).values())
+    assert any(len(pairs) > 5 for pairs in likings(larger, 7).values())
     lengths = LIKING.replace("0 relax to 0", "0 mm relax to 0 mm").replace("strongest 5", "strongest 7").replace("/ 1 m *", "*")
     scene.with_name("life.ant").write_text(lengths)
-    anew, what = taken(world, scene)
+    fresh, what = taken(world, scene)
     assert migration_line(what) == "kept 20 agents · `likes` has another type and starts again"
-    assert not any(likings(anew, 7).values())
+    assert not any(likings(fresh, 7).values())
     scene.with_name("life.ant").write_text(PROGRAM)
     _, what = taken(world, scene)
     assert migration_line(what) == "kept 20 agents · `likes` is gone"
@@ -318,14 +318,16 @@ def test_the_strongest_are_those_farthest_from_what_they_return_to(scene: Path, 
     life = life.replace("  load   = 1", "  param calm = 2 in 0 .. 9\n  load   = 1", 1)
     scene.with_name("life.ant").write_text(life)
     world = started(scene, 12)
-    before = likings(world, 5)
+    old_pairs = likings(world, 5)
     fewer, _ = taken(world, scene, life="strongest 5 => strongest 2")
     far = {
         agent: sorted(sorted(pairs), key=lambda pair: -abs(np.float32(pair[1]) - np.float32(2)))[:2]
-        for agent, pairs in before.items()
+        for agent, pairs in old_pairs.items()
     }
     assert {agent: sorted(pairs) for agent, pairs in likings(fewer, 2).items()} == {a: sorted(pairs) for a, pairs in far.items()}
-    assert any(sorted(pairs[:2]) != sorted(far[agent]) for agent, pairs in before.items()), "they are not those farthest from 0"
+    assert any(sorted(pairs[:2]) != sorted(far[agent]) for agent, pairs in old_pairs.items()), (
+        "they are not those farthest from 0"
+    )
 
 
 def test_values_about_those_who_go_go_with_them(scene: Path) -> None:
@@ -334,5 +336,5 @@ def test_values_about_those_who_go_go_with_them(scene: Path) -> None:
     assert any(other >= 10 for pairs in likings(world, 5).values() for other, _ in pairs)
     now, _ = taken(world, scene, scene="count: 20 => count: 10")
     step(now)
-    told = likings(now, 5)
-    assert len(told) == 10 and not any(other >= 10 for pairs in told.values() for other, _ in pairs)
+    pairs_by_agent = likings(now, 5)
+    assert len(pairs_by_agent) == 10 and not any(other >= 10 for pairs in pairs_by_agent.values() for other, _ in pairs)

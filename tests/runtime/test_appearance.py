@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from meaning import WAYS, Seen, crowd, item, play
+from meaning import OPTION_SETS, RunHistory, crowd, item, play
 from plan_text import plan_of
 
 from antdsl.passes import optimise
@@ -12,7 +12,7 @@ from antdsl.plan import show
 from antdsl.runtime import Options, bind, checkpoint, restore, state_hash, step
 from antdsl.scene.setting import Setting
 
-EVERY_WAY = (*WAYS, Options(backend="native", wait_for_code=True, chunk=16, shuffle_rows=5))
+EVERY_WAY = (*OPTION_SETS, Options(backend="native", wait_for_code=True, chunk=16, shuffle_rows=5))
 WORLD = "world { surface ground; items food }\n"
 HEAD = """species a { size 10 mm
   max_speed 20 mm/s
@@ -21,8 +21,8 @@ HEAD = """species a { size 10 mm
 """
 
 
-def shown(states: str, steps: int, **more: object) -> Seen:
-    return play(f"{HEAD}{states} }}", crowd(1), world=WORLD, steps=steps, ways=EVERY_WAY, **more)  # type: ignore[arg-type]
+def play_states(states: str, steps: int, **setting_arguments: object) -> RunHistory:
+    return play(f"{HEAD}{states} }}", crowd(1), world=WORLD, steps=steps, option_sets=EVERY_WAY, **setting_arguments)  # type: ignore[arg-type]
 
 
 def test_a_layer_is_worn_as_long_as_the_state_lasts_and_the_condition_holds() -> None:
@@ -30,33 +30,33 @@ def test_a_layer_is_worn_as_long_as_the_state_lasts_and_the_condition_holds() ->
       state one { wear hat; when after 0.3 s -> two { load = 1 } }
       state two { wear crumb when load > 0; when after 0.3 s -> three }
       state three { wear crumb when load > 0; load -= 5 /s }"""
-    seen = shown(states, 9)
-    assert seen.states() == ["one"] * 4 + ["two"] * 3 + ["three"] * 3
-    assert seen.every("wear#hat") == [True] * 4 + [False] * 6, "worn from birth on"
-    assert seen.every("wear#crumb") == [False] * 4 + [True] * 5 + [False], "what stands above the load's line sees it before"
+    history = play_states(states, 9)
+    assert history.states() == ["one"] * 4 + ["two"] * 3 + ["three"] * 3
+    assert history.every("wear#hat") == [True] * 4 + [False] * 6, "worn from birth on"
+    assert history.every("wear#crumb") == [False] * 4 + [True] * 5 + [False], "what stands above the load's line sees it before"
 
 
 def test_machines_wear_together() -> None:
     states = """machine m { start one; state one { wear hat; when after 0.2 s -> two }; state two { } }
       machine n { start one; state one { wear bag; when after 0.4 s -> two }; state two { wear hat } }"""
-    seen = shown(states, 6)
-    assert seen.every("wear#hat") == [True, True, True, False, False, True, True]
-    assert seen.every("wear#bag") == [True] * 5 + [False] * 2
+    history = play_states(states, 6)
+    assert history.every("wear#hat") == [True, True, True, False, False, True, True]
+    assert history.every("wear#bag") == [True] * 5 + [False] * 2
 
 
 def test_a_channel_has_the_value_of_the_state_and_none_without_one() -> None:
     states = """start one
       state one { channel jaw = load * 0.5 + 0.25; load += 1 /s; when after 0.3 s -> two }
       state two { load = 0; when after 0.2 s -> one }"""
-    seen = shown(states, 5)
-    assert seen.every("channel#jaw.said") == [True] * 4 + [False] * 2
-    assert seen.every("channel#jaw") == pytest.approx([0.25, 0.25, 0.3, 0.35, 0, 0], abs=1e-6)
+    history = play_states(states, 5)
+    assert history.every("channel#jaw.said") == [True] * 4 + [False] * 2
+    assert history.every("channel#jaw") == pytest.approx([0.25, 0.25, 0.3, 0.35, 0, 0], abs=1e-6)
 
 
 def looking(states: str, x: float, z: float, steps: int = 30) -> np.ndarray:
     items = {"food": (item("crumb", x, z),)}
-    seen = shown(states, steps, items=items)
-    return np.stack([seen.every(f"look#head.{axis}") for axis in "xyz"], axis=1)
+    history = play_states(states, steps, items=items)
+    return np.stack([history.every(f"look#head.{axis}") for axis in "xyz"], axis=1)
 
 
 def test_a_head_turns_to_what_it_looks_at_no_farther_than_it_may_and_back() -> None:
@@ -64,9 +64,9 @@ def test_a_head_turns_to_what_it_looks_at_no_farther_than_it_may_and_back() -> N
       state one { look head(at: nearest(food), within: 60 deg, over: 0.2 s); when after 2 s -> two }
       state two { }"""
     # +x is ahead and +y up, so +z is to the right
-    seen = looking(states, 10, 10)
-    assert seen[0].tolist() == [1, 0, 0] and np.linalg.norm(seen, axis=1) == pytest.approx(1, abs=1e-6)
-    angle = np.degrees(np.arctan2(seen[:, 2], seen[:, 0]))
+    directions = looking(states, 10, 10)
+    assert directions[0].tolist() == [1, 0, 0] and np.linalg.norm(directions, axis=1) == pytest.approx(1, abs=1e-6)
+    angle = np.degrees(np.arctan2(directions[:, 2], directions[:, 0]))
     assert (np.diff(angle[:20]) > 0).all() and angle[20] == pytest.approx(45, abs=0.2)
     assert np.diff(angle[:20]).max() < 45 * (1 - np.exp(-0.1 / 0.2)) + 1, "a share of the way in a step"
     assert (np.diff(angle[21:]) < 0).all() and angle[-1] < 1
@@ -88,14 +88,14 @@ def test_it_is_in_checkpoints_and_plans() -> None:
     plan = optimise(plan_of(text, f"use steering\n{WORLD}"))
     assert "wear#hat" in show(plan) and plan.species["a"].wears == ("hat",) and plan.species["a"].channels == ("jaw",)
     setting = Setting(crowds=(crowd(20, radius=40.0),), seed=2)
-    made, again = (bind(plan, setting, Options(backend=name)) for name in ("numpy", "reference"))
+    original, again = (bind(plan, setting, Options(backend=name)) for name in ("numpy", "reference"))
     for _ in range(10):
-        step(made)
-    restore(again, checkpoint(made))
-    for world in (made, again):
+        step(original)
+    restore(again, checkpoint(original))
+    for world in (original, again):
         step(world)
-    assert state_hash(made) == state_hash(again)
-    assert len({float(x) for x in made.populations["a"].now["channel#jaw"]}) == 20
+    assert state_hash(original) == state_hash(again)
+    assert len({float(x) for x in original.populations["a"].now["channel#jaw"]}) == 20
 
 
 @pytest.mark.parametrize(
@@ -113,7 +113,7 @@ def test_it_is_in_checkpoints_and_plans() -> None:
         ("look head(at: position, over: 3 mm)", "wrong-unit", None),
     ],
 )
-def test_mistakes_are_told_with_what_to_write(line: str, code: str, help: str | None) -> None:
+def test_mistakes_are_reported_with_a_correction(line: str, code: str, help: str | None) -> None:
     from test_program import checked
 
     _, report = checked(f"ant 1\nspecies a {{\n  start s\n  state s {{\n    steer heading\n    {line}\n  }}\n}}\n")

@@ -48,7 +48,7 @@ def test_the_same_hash_at_every_frame(reference, options):
     assert run(plans.rich(), plans.setting(), options) == reference
 
 
-def test_a_backend_can_be_asked_for_by_its_name():
+def test_a_backend_can_be_chosen_by_its_name():
     names = set(BACKENDS)
     assert {each.value for each in Backend} == names, "`Backend` in antdsl/cli/run.py"
     assert set(get_args(get_type_hints(Options)["backend"])) == names, "`Options.backend` in antdsl/runtime/world.py"
@@ -72,13 +72,13 @@ def test_things_happen_in_the_rich_plan():
 
 
 def operations(plan: ir.Plan) -> set[str]:
-    found = set()
+    names = set()
     for species in plan.species.values():
         for block in (species.born, species.decide, species.act, species.blend):
             for _, statement in placed(block):
-                found |= {node.op for node in needed(operands(statement))}
-                found.add(statement.op if isinstance(statement, ir.Request) else type(statement).__name__)
-    return found
+                names |= {node.op for node in needed(operands(statement))}
+                names.add(statement.op if isinstance(statement, ir.Request) else type(statement).__name__)
+    return names
 
 
 def test_every_operation_is_covered():
@@ -97,9 +97,9 @@ def test_every_operation_is_covered():
         "clip.value",
         "flow.reachable",  # tests/fields/test_reachable.py
     }  # tests/specs/test_specs.py, tests/numerics/test_noise.py, tests/senses/test_clear_velocity.py,
-    wanted = set(ir.OPS) - elsewhere  # tests/runtime/test_meaning_others.py, tests/runtime/test_collisions.py
-    wanted |= {"If", "Store", "Claim", "Give", *EFFECTS} - {"carve"}  # tests/runtime/test_digging.py
-    lacking = wanted - operations(plans.rich()) - operations(surfaces_plan())
+    required = set(ir.OPS) - elsewhere  # tests/runtime/test_meaning_others.py, tests/runtime/test_collisions.py
+    required |= {"If", "Store", "Claim", "Give", *EFFECTS} - {"carve"}  # tests/runtime/test_digging.py
+    lacking = required - operations(plans.rich()) - operations(surfaces_plan())
     assert not lacking, f"no plan here has {lacking}: put them into tests/plans.py, or name the test that they have above"
 
 
@@ -111,15 +111,15 @@ def test_a_value_used_before_and_after_a_store_is_read_before_it():
         plans.store("mood", t("add", t.snap("mood"), 1.0)),
         plans.when(t("lt", t.draw("b"), 0.5), plans.store("second", old)),
     )
-    found = {}
+    hashes = {}
     for backend in ("numpy", "reference"):
         world = bind(plans.bare(act, "mood", "first", "second"), plans.crowd(64), Options(backend=backend))
         for _ in range(3):
             step(world)
         now = world.populations["ant"].now
         assert set(now["second"].tolist()) <= {0.0, 1.0, 2.0} and 2.0 in now["second"] and (now["mood"] == 3).all()
-        found[backend] = state_hash(world)
-    assert found["numpy"] == found["reference"]
+        hashes[backend] = state_hash(world)
+    assert hashes["numpy"] == hashes["reference"]
 
 
 def test_uniform_conditions_and_values():
@@ -139,7 +139,7 @@ def test_uniform_conditions_and_values():
         assert now["mood"].tolist() == [7.0] * 5 and now["first"].tolist() == [4.0] * 5 and now["second"].tolist() == [1.0] * 5
 
 
-def test_nobody_at_all():
+def test_a_world_without_agents_runs():
     for backend in ("numpy", "reference"):
         world = bind(plans.rich(), plans.setting(ants=0, flies=0), Options(backend=backend))
         step(world)
@@ -165,8 +165,8 @@ def test_sorting_rows_by_place_changes_nothing(reference, monkeypatch):
     monkeypatch.setattr(phases, "_SORT_EVERY", 1)
     monkeypatch.setattr(phases, "_SORT_FROM", 2)
     world = bind(plans.rich(), plans.setting(), Options(backend="numpy"))
-    before = world.populations["ant"].ids.copy()
+    old_ids = world.populations["ant"].ids.copy()
     for k in range(STEPS):
         step(world)
         assert state_hash(world) == reference[k + 1]
-    assert not np.array_equal(world.populations["ant"].ids[:40], before)
+    assert not np.array_equal(world.populations["ant"].ids[:40], old_ids)

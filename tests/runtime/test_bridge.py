@@ -19,7 +19,7 @@ BRIDGE = Path(__file__).resolve().parents[2] / "examples" / "bridge"
 
 
 @pytest.fixture(scope="module")
-def made() -> dict[str, Any]:
+def bridge_script() -> dict[str, Any]:
     return runpy.run_path(str(BRIDGE / "make_bridge.py"))
 
 
@@ -30,23 +30,23 @@ def opened(name: str, **params: str) -> World:
     return bind(shot.plan, replace(shot.setting, crowds=fewer))
 
 
-def test_one_arm_is_twice_as_long_and_both_begin_and_end_alike(made: dict[str, Any]) -> None:
-    short, long = np.array(made["short"]()), np.array(made["long"](2.0))
-    lengths = [np.linalg.norm(np.diff(way, axis=0), axis=1).sum() for way in (short, long)]
+def test_one_arm_is_twice_as_long_and_both_begin_and_end_alike(bridge_script: dict[str, Any]) -> None:
+    short, long = np.array(bridge_script["short"]()), np.array(bridge_script["long"](2.0))
+    lengths = [np.linalg.norm(np.diff(arm, axis=0), axis=1).sum() for arm in (short, long)]
     assert lengths[1] / lengths[0] == pytest.approx(2, abs=0.003)
-    for way in (short, long):
-        assert np.array_equal(way[0], [0, 0]) and np.array_equal(way[-1], [200, 0])
-        for piece in (way[1] - way[0], way[-1] - way[-2]):
+    for arm in (short, long):
+        assert np.array_equal(arm[0], [0, 0]) and np.array_equal(arm[-1], [200, 0])
+        for piece in (arm[1] - arm[0], arm[-1] - arm[-2]):
             assert np.degrees(np.arctan2(abs(piece[1]), piece[0])) == pytest.approx(30, abs=0.2)
 
 
-def test_the_meshes_are_those_of_the_script(made: dict[str, Any]) -> None:
-    short = made["short"]()
-    whole = made["bridge"](short, made["long"](2.0))
-    alike = made["bridge"](short, tuple((x, -z) for x, z in short))
-    for name, (vertices, faces) in (("bridge", whole), ("mirrored", made["mirrored"](whole)), ("equal", alike)):
-        kept = trimesh.load(BRIDGE / f"{name}.ply", process=False)
-        assert np.allclose(kept.vertices, vertices, atol=1e-3) and np.array_equal(kept.faces, faces)
+def test_the_meshes_are_those_of_the_script(bridge_script: dict[str, Any]) -> None:
+    short = bridge_script["short"]()
+    bridge = bridge_script["bridge"](short, bridge_script["long"](2.0))
+    alike = bridge_script["bridge"](short, tuple((x, -z) for x, z in short))
+    for name, (vertices, faces) in (("bridge", bridge), ("mirrored", bridge_script["mirrored"](bridge)), ("equal", alike)):
+        stored_mesh = trimesh.load(BRIDGE / f"{name}.ply", process=False)
+        assert np.allclose(stored_mesh.vertices, vertices, atol=1e-3) and np.array_equal(stored_mesh.faces, faces)
         across = np.cross(*(vertices[faces[:, k]] - vertices[faces[:, 0]] for k in (1, 2)))
         assert (across[:, 1] > 0).all() and (np.abs(across[:, [0, 2]]) < 1e-9).all()
 

@@ -30,18 +30,18 @@ def test_parts_are_sorted_as_the_whole(monkeypatch: pytest.MonkeyPatch) -> None:
     place = [np.random.default_rng(k).choice([0.0, 1.0, 2.5, 40.0], COUNT) for k in range(3)]  # many in one cell, most in none
     for axis, each in zip(AXES, place, strict=True):
         crowd.start[f"position.{axis}"][:] = each
-    found: list[dict[str, NDArray[Any]]] = []
+    table_sets: list[dict[str, NDArray[Any]]] = []
     for threads in (1, 2, 3, 7):
-        made = grids.Grids()
+        cell_grids = grids.Grids()
         for cell in (2.0, 9.0, 1.0, 2.0):  # fewer cells and more
-            made.forget()
-            tables = made.of(SimpleNamespace(options=SimpleNamespace(threads=threads)), crowd, cell)  # type: ignore[arg-type]
+            cell_grids.forget()
+            tables = cell_grids.of(SimpleNamespace(options=SimpleNamespace(threads=threads)), crowd, cell)  # type: ignore[arg-type]
             cells = int(np.prod(tables["whole"][3:6]))  # type: ignore[index]
             names = ("x", "y", "z", "places", "at")
             own = {name: np.array(tables[name][:COUNT]) for name in names}  # type: ignore[index]
-            found.append(own | {"starts": np.array(tables["starts"][: cells + 1])})  # type: ignore[index]
-    for k, own in enumerate(found):
-        assert all(np.array_equal(array, found[k % 4][name]) for name, array in own.items())
+            table_sets.append(own | {"starts": np.array(tables["starts"][: cells + 1])})  # type: ignore[index]
+    for k, own in enumerate(table_sets):
+        assert all(np.array_equal(array, table_sets[k % 4][name]) for name, array in own.items())
         rows = own["places"][:, 3].view(np.int32)
         assert np.array_equal(own["at"][rows], np.arange(COUNT))
         assert all(np.array_equal(own[axis], each[rows].astype(np.float32)) for axis, each in zip(AXES, place, strict=True))

@@ -134,12 +134,12 @@ def observe(result, population, window, dt, steps):
     speed = length(now, "velocity")
     result["standing"] += int(((length(now, "push") > 0.2) & (speed < now["max_speed"] * np.float32(0.03))).sum())
     for row, name in enumerate(population.ids.tolist()):
-        way = window.setdefault(name, [population.position[row].copy(), 0.0, 0])
-        way[1] += float(np.float32(speed[row]) * dt)
-        way[2] += 1
-        if way[2] >= steps:
-            if way[1] > 3 * now["size"][row]:
-                straight = min(np.linalg.norm(population.position[row] - way[0]) / way[1], 1.0)
+        walk = window.setdefault(name, [population.position[row].copy(), 0.0, 0])
+        walk[1] += float(np.float32(speed[row]) * dt)
+        walk[2] += 1
+        if walk[2] >= steps:
+            if walk[1] > 3 * now["size"][row]:
+                straight = min(np.linalg.norm(population.position[row] - walk[0]) / walk[1], 1.0)
                 result["ways"] += 1
                 result["circling"] += int(straight < 0.15)
                 result["straightness"] += straight
@@ -194,8 +194,10 @@ def test_overlaps_are_those_of_all_pairs(count, box):
     radius = (2 * rng.random(count)).astype(np.float32)
     x[0], z[1], radius[2] = np.nan, np.inf, 0
     with np.errstate(all="ignore"):
-        way = [axis[:, None] - axis for axis in (x, y, z)]
-        distance = np.sqrt((way[0] * way[0] + way[1] * way[1]) + way[2] * way[2])
+        displacement = [axis[:, None] - axis for axis in (x, y, z)]
+        distance = np.sqrt(
+            (displacement[0] * displacement[0] + displacement[1] * displacement[1]) + displacement[2] * displacement[2]
+        )
         part = np.float32(1) - distance / np.maximum(radius[:, None] + radius, np.float32(1e-9))
     np.fill_diagonal(part, 0)
     expected = np.maximum(np.where(np.isfinite(part), part, 0).max(axis=1), 0)

@@ -6,7 +6,7 @@ import itertools
 
 import numpy as np
 import pytest
-from meaning import Seen, crowd, play
+from meaning import RunHistory, crowd, play
 from test_clips import EVERY_WAY, HEAD
 
 from antdsl.bodies.agents.blending import posed
@@ -31,23 +31,23 @@ def body() -> Definition:
     return Definition("hand", rig, clips={clip.name: clip for clip in still})
 
 
-def shown(states: str, steps: int) -> Seen:
-    return play(f"{HEAD}start one\n{states} }}", crowd(1), steps=steps, ways=EVERY_WAY, clips=CLIPS)
+def play_states(states: str, steps: int) -> RunHistory:
+    return play(f"{HEAD}start one\n{states} }}", crowd(1), steps=steps, option_sets=EVERY_WAY, clips=CLIPS)
 
 
-def heights(seen: Seen) -> list[float]:
+def heights(history: RunHistory) -> list[float]:
     """Where the hand is in each frame."""
     table = clip_table(body())
-    clips = tuple((clip.name, clip.on) for clip in seen.world.plan.species["a"].clips)
-    found = []
+    clips = tuple((clip.name, clip.on) for clip in history.world.plan.species["a"].clips)
+    hand_heights = []
     registers = (
         "clip", "clip_turns", "clip_weight", "clip_before", "clip_before_turns", "clip_before_weight", "clip_fade",
         "clip_earlier", "clip_earlier_turns", "clip_earlier_weight", "clip_earlier_fade",
     )  # fmt: skip
-    for frame in seen.frames:
-        told = MachineClips(*(frame["a"][f"main.{name}"] for name in registers))
-        found.append(float(posed(table, {}, machines_playing(table, clips, [told], 1)).world[0, 0, 1, 3]))
-    return found
+    for frame in history.frames:
+        clips_of_machine = MachineClips(*(frame["a"][f"main.{name}"] for name in registers))
+        hand_heights.append(float(posed(table, {}, machines_playing(table, clips, [clips_of_machine], 1)).world[0, 0, 1, 3]))
+    return hand_heights
 
 
 def chain(names: tuple[str, ...], stays: tuple[float, ...], over: float) -> str:
@@ -63,45 +63,45 @@ def chain(names: tuple[str, ...], stays: tuple[float, ...], over: float) -> str:
 @pytest.mark.parametrize("stays", [(0.1,) * 5, (0.2, 0.1, 0.1, 0.3, 0.1), (0.3, 0.1, 0.2, 0.1, 0.1)])
 def test_no_pose_jumps_however_often_states_change(stays: tuple[float, ...]) -> None:
     for over, names in ((0.5, ("low", "top", "mid", "high", "low")), (0.3, ("top", "low", "top", "mid", "high"))):
-        seen = shown(chain(names, stays, over), 20)
-        found = heights(seen)
-        assert seen.states()[-1] == "six" and found[-1] == pytest.approx(0, abs=1e-3)
-        most = max(abs(b - a) for a, b in itertools.pairwise(found))
+        history = play_states(chain(names, stays, over), 20)
+        hand_heights = heights(history)
+        assert history.states()[-1] == "six" and hand_heights[-1] == pytest.approx(0, abs=1e-3)
+        most = max(abs(b - a) for a, b in itertools.pairwise(hand_heights))
         # Two clips give way at once at most, each by STEP / over of what lies between any two.
         assert most <= 250 * (1 - (1 - STEP / over) ** 2) + 1e-3
-        assert len(set(np.round(found, 3))) >= 5
+        assert len(set(np.round(hand_heights, 3))) >= 5
 
 
 def test_a_third_clip_gives_way_on_and_a_fourth_waits() -> None:
-    seen = shown(chain(("low", "top", "mid", "high"), (0.2, 0.1, 0.1, 0.9), 0.4), 14)
-    names = [clip.name for clip in seen.world.plan.species["a"].clips]
+    history = play_states(chain(("low", "top", "mid", "high"), (0.2, 0.1, 0.1, 0.9), 0.4), 14)
+    names = [clip.name for clip in history.world.plan.species["a"].clips]
     assert names == ["low", "top", "mid", "high"]
-    assert seen.states() == ["one"] * 3 + ["two", "three"] + ["four"] * 9 + ["five"]
-    assert seen.every("main.clip")[:9] == [0, 0, 0, 1, 2, 2, 2, 3, 3]
-    assert seen.every("main.clip_waits") == [False] * 5 + [True] * 2 + [False] * 8
-    assert seen.every("main.clip_earlier")[4:8] == [0, 0, 0, 1]
-    assert seen.every("main.clip_earlier_fade")[4:8] == pytest.approx([0.5, 0.25, 0, 0.0], abs=1e-6)
+    assert history.states() == ["one"] * 3 + ["two", "three"] + ["four"] * 9 + ["five"]
+    assert history.every("main.clip")[:9] == [0, 0, 0, 1, 2, 2, 2, 3, 3]
+    assert history.every("main.clip_waits") == [False] * 5 + [True] * 2 + [False] * 8
+    assert history.every("main.clip_earlier")[4:8] == [0, 0, 0, 1]
+    assert history.every("main.clip_earlier_fade")[4:8] == pytest.approx([0.5, 0.25, 0, 0.0], abs=1e-6)
 
 
-def test_done_is_asked_of_the_clip_of_the_state_and_not_of_one_that_it_waits_for() -> None:
+def test_done_is_of_the_clip_of_the_state_and_not_of_one_that_it_waits_for() -> None:
     states = """state one { play low; when after 0.2 s -> two over 0.4 s }
       state two { play top; when after 0.1 s -> three over 0.4 s }
       state three { play mid; when after 0.1 s -> four over 0.4 s }
       state four { play top; when clip done -> five }
       state five { play low }"""
-    seen = shown(states, 16)
-    waits, four = seen.every("main.clip_waits"), seen.states().index("four")
-    assert waits[four] and seen.states().index("five") == waits.index(False, four) + 6, "0.5 s after it has begun"
+    history = play_states(states, 16)
+    waits, four = history.every("main.clip_waits"), history.states().index("four")
+    assert waits[four] and history.states().index("five") == waits.index(False, four) + 6, "0.5 s after it has begun"
 
 
 def test_the_same_clip_goes_on_or_begins_again() -> None:
     lines = """state one {{ play mid; when after 0.3 s -> two }}
       state two {{ play mid{}; when after 0.3 s -> one }}"""
-    on, again = (np.array(shown(lines.format(more), 8).every("main.clip_turns")) for more in ("", "(again: true)"))
+    on, again = (np.array(play_states(lines.format(option), 8).every("main.clip_turns")) for option in ("", "(again: true)"))
     assert np.diff(on) == pytest.approx(0.2, abs=1e-5)
     assert np.diff(again)[:3] == pytest.approx(0.2, abs=1e-5)
     assert again[4:7] == pytest.approx([0.0, 0.2, 0.4], abs=1e-5) and again[7] == pytest.approx(0.6, abs=1e-5)
-    fades = shown(lines.format("(again: age < 0.1 s)"), 8).every("main.clip_fade")
+    fades = play_states(lines.format("(again: age < 0.1 s)"), 8).every("main.clip_fade")
     assert not any(fades), "a condition, asked as one comes into the state"
 
 

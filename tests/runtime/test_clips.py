@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from meaning import WAYS, Seen, crowd, play
+from meaning import OPTION_SETS, RunHistory, crowd, play
 from plan_text import plan_of
 
 from antdsl.passes import optimise
@@ -12,7 +12,7 @@ from antdsl.reload import take_over
 from antdsl.runtime import Options, bind, checkpoint, restore, state_hash, step
 from antdsl.scene.setting import ClipData, Setting
 
-EVERY_WAY = (*WAYS, Options(backend="native", wait_for_code=True, chunk=16, shuffle_rows=5))
+EVERY_WAY = (*OPTION_SETS, Options(backend="native", wait_for_code=True, chunk=16, shuffle_rows=5))
 CLIPS = {
     "a": {
         "walk": ClipData(1.0, 0.5, True, {"foot": 0.5}),
@@ -29,77 +29,84 @@ HEAD = """species a { size 10 mm
 """
 
 
-def shown(states: str, steps: int, count: int = 1, start: str = "one", **more: object) -> Seen:
-    return play(f"{HEAD}start {start}\n{states} }}", crowd(count, radius=20.0), steps=steps, ways=EVERY_WAY, clips=CLIPS, **more)  # type: ignore[arg-type]
+def play_states(states: str, steps: int, count: int = 1, start: str = "one", **setting_arguments: object) -> RunHistory:
+    return play(
+        f"{HEAD}start {start}\n{states} }}",
+        crowd(count, radius=20.0),
+        steps=steps,
+        option_sets=EVERY_WAY,
+        clips=CLIPS,
+        **setting_arguments,
+    )  # type: ignore[arg-type]
 
 
-def turns(seen: Seen, number: int = 0, name: str = "clip_turns") -> np.ndarray:
-    return np.array(seen.every(f"main.{name}", number))
+def turns(history: RunHistory, number: int = 0, name: str = "clip_turns") -> np.ndarray:
+    return np.array(history.every(f"main.{name}", number))
 
 
 def test_a_clip_that_covers_ground_goes_by_the_ground_and_others_by_the_clock() -> None:
     # 10 mm/s over half a body length of 10 mm a turn: two turns a second.
-    walked = turns(shown(f"state one {{ play walk; steer {GOES} }}", 10))[1:]
+    walked = turns(play_states(f"state one {{ play walk; steer {GOES} }}", 10))[1:]
     assert np.diff(walked) == pytest.approx(np.full(9, 0.2), abs=1e-5)
-    waited = turns(shown(f"state one {{ play breathe; steer {GOES} }}", 10))[1:]
+    waited = turns(play_states(f"state one {{ play breathe; steer {GOES} }}", 10))[1:]
     assert np.diff(waited) == pytest.approx(np.full(9, 0.05), abs=1e-5)
-    hurried = turns(shown(f"state one {{ play breathe(speed: 3); steer {GOES} }}", 10))[1:]
+    hurried = turns(play_states(f"state one {{ play breathe(speed: 3); steer {GOES} }}", 10))[1:]
     assert np.diff(hurried) == pytest.approx(np.full(9, 0.15), abs=1e-5)
-    stands = turns(shown("state one { play walk; steer match(vector(0 mm/s, 0 mm/s, 0 mm/s)) }", 10))[3:]
+    stands = turns(play_states("state one { play walk; steer match(vector(0 mm/s, 0 mm/s, 0 mm/s)) }", 10))[3:]
     assert np.abs(np.diff(stands)).max() < 1e-3
 
 
 def test_loops_begin_anywhere_and_others_at_their_start() -> None:
-    seen = shown(f"state one {{ play walk; steer {GOES} }}", 1, count=40)
-    begun = [turns(seen, k)[0] for k in range(40)]
-    assert seen.world.faults.count == 0 and min(begun) < 0.2 and max(begun) > 0.8 and max(begun) < 1
-    assert turns(shown(f"state one {{ play wave; steer {GOES} }}", 1))[0] == 0
+    history = play_states(f"state one {{ play walk; steer {GOES} }}", 1, count=40)
+    start_turns = [turns(history, k)[0] for k in range(40)]
+    assert history.world.faults.count == 0 and min(start_turns) < 0.2 and max(start_turns) > 0.8 and max(start_turns) < 1
+    assert turns(play_states(f"state one {{ play wave; steer {GOES} }}", 1))[0] == 0
 
 
 def test_one_that_does_not_loop_stays_at_its_end_and_is_done() -> None:
     states = f"state one {{ play wave; steer {GOES}; when clip done -> two }}; state two {{ play breathe; steer {GOES} }}"
-    seen = shown(states, 14)
-    assert seen.states() == ["one"] * 9 + ["two"] * 6
-    assert turns(seen)[:9] == pytest.approx(np.minimum(np.arange(9) * 0.125, 1), abs=1e-5)
+    history = play_states(states, 14)
+    assert history.states() == ["one"] * 9 + ["two"] * 6
+    assert turns(history)[:9] == pytest.approx(np.minimum(np.arange(9) * 0.125, 1), abs=1e-5)
 
 
 def test_a_mark_is_passed_once_a_turn() -> None:
     states = f"state one {{ play walk; steer {GOES}; when clip at foot -> one {{ steps += 1 }} }}; steps = 0"
-    seen = shown(states, 41)
-    passed = np.diff(np.floor(turns(seen)[1:] - 0.5)).sum()
-    assert 7 <= seen["steps"][0] <= 8 and abs(seen["steps"][0] - passed) <= 1
+    history = play_states(states, 41)
+    passed = np.diff(np.floor(turns(history)[1:] - 0.5)).sum()
+    assert 7 <= history["steps"][0] <= 8 and abs(history["steps"][0] - passed) <= 1
     states = f"state one {{ play wave; steer {GOES}; when clip at top -> two }}; state two {{ play wave; steer {GOES} }}"
-    assert shown(states, 10).states().index("two") == 5
+    assert play_states(states, 10).states().index("two") == 5
     never = f"state one {{ play walk; steer {GOES}; when clip at nowhere -> two }}; state two {{ play wave; steer {GOES} }}"
-    assert set(shown(never, 20).states()) == {"one"}
+    assert set(play_states(never, 20).states()) == {"one"}
 
 
 def test_the_clip_before_gives_way_in_the_time_that_is_said() -> None:
     states = f"""state one {{ play walk; steer {GOES}; when after 0.5 s -> two over 0.4 s }}
       state two {{ play wave; steer {GOES}; when after 0.6 s -> three }}
       state three {{ steer {GOES} }}"""
-    seen = shown(states, 16)
-    assert seen.states().index("two") == 6 and seen.states().index("three") == 12
-    fade = turns(seen, name="clip_fade")
+    history = play_states(states, 16)
+    assert history.states().index("two") == 6 and history.states().index("three") == 12
+    fade = turns(history, name="clip_fade")
     assert fade[:6] == pytest.approx(0) and fade[6:11] == pytest.approx([0.75, 0.5, 0.25, 0, 0], abs=1e-6)
     assert fade[12] == pytest.approx(1 / 3, abs=1e-5) and fade[13] == 0  # 0.15 s where nothing is said
-    assert seen.every("main.clip") == [0] * 6 + [1] * 6 + [-1] * 5
-    before = turns(seen, name="clip_before_turns")
-    assert np.diff(before[6:9]) == pytest.approx(0.2, abs=1e-5)  # it goes on meanwhile
+    assert history.every("main.clip") == [0] * 6 + [1] * 6 + [-1] * 5
+    previous_turns = turns(history, name="clip_before_turns")
+    assert np.diff(previous_turns[6:9]) == pytest.approx(0.2, abs=1e-5)  # it goes on meanwhile
 
 
 def test_two_that_cover_ground_keep_step() -> None:
     states = f"state one {{ play walk; steer {GOES}; when after 0.5 s -> two }}; state two {{ play run; steer {GOES} }}"
-    seen = shown(states, 8)
-    last = turns(seen)[5]
-    assert turns(seen)[6] == pytest.approx(last % 1 + 0.1, abs=1e-5)
+    history = play_states(states, 8)
+    last = turns(history)[5]
+    assert turns(history)[6] == pytest.approx(last % 1 + 0.1, abs=1e-5)
 
 
 def test_weights_and_groups() -> None:
     states = f"state one {{ play walk(weight: 0.25); steer {GOES}; when after 0.3 s -> two }}"
-    seen = shown(states + f"\nstate two {{ play walk(on: arms, weight: size / 1 mm); steer {GOES} }}", 6)
-    assert seen.every("main.clip_weight") == [1] + [0.25] * 3 + [1] * 3
-    assert [(clip.name, clip.on) for clip in seen.world.plan.species["a"].clips] == [("walk", ""), ("walk", "arms")]
+    history = play_states(states + f"\nstate two {{ play walk(on: arms, weight: size / 1 mm); steer {GOES} }}", 6)
+    assert history.every("main.clip_weight") == [1] + [0.25] * 3 + [1] * 3
+    assert [(clip.name, clip.on) for clip in history.world.plan.species["a"].clips] == [("walk", ""), ("walk", "arms")]
 
 
 def test_machines_play_beside_each_other() -> None:
@@ -107,21 +114,21 @@ def test_machines_play_beside_each_other() -> None:
       machine legs {{ start one; state one {{ play walk; steer {GOES} }} }}
       machine arms {{ start rest; state rest {{ when after 0.3 s -> wave }}; state wave {{ play wave(on: arms) }} }}
     }}"""
-    seen = play(text, crowd(1), steps=6, ways=EVERY_WAY, clips=CLIPS)
-    assert seen.every("legs.clip") == [0] * 7 and seen.every("arms.clip") == [-1] * 4 + [1] * 3
-    assert seen.every("arms.clip_fade")[3:6] == pytest.approx([0, 1 / 3, 0], abs=1e-5), "none gives way as well"
+    history = play(text, crowd(1), steps=6, option_sets=EVERY_WAY, clips=CLIPS)
+    assert history.every("legs.clip") == [0] * 7 and history.every("arms.clip") == [-1] * 4 + [1] * 3
+    assert history.every("arms.clip_fade")[3:6] == pytest.approx([0, 1 / 3, 0], abs=1e-5), "none gives way as well"
 
 
 def test_a_checkpoint_goes_on_where_clips_are() -> None:
     text = f"{HEAD}start one\nstate one {{ play walk; steer {GOES}; when chance 50 %/s -> two over 0.5 s }}"
     text += f"\nstate two {{ play wave; steer {GOES}; when clip done -> one }} }}"
     setting = Setting(crowds=(crowd(30, radius=40.0),), seed=2, clips=CLIPS)
-    made, again = (bind(optimise(plan_of(text)), setting, Options(backend=name)) for name in ("numpy", "reference"))
+    original, again = (bind(optimise(plan_of(text)), setting, Options(backend=name)) for name in ("numpy", "reference"))
     for _ in range(20):
-        step(made)
-    restore(again, checkpoint(made))
+        step(original)
+    restore(again, checkpoint(original))
     hashes = []
-    for world in (made, again):
+    for world in (original, again):
         hashes.append([])
         for _ in range(5):
             step(world)
@@ -132,11 +139,11 @@ def test_a_checkpoint_goes_on_where_clips_are() -> None:
 def test_a_mark_at_the_start_is_passed_as_the_clip_begins_and_not_as_it_ends() -> None:
     states = f"state one {{ play wave; steer {GOES}; when clip at start -> one {{ steps += 1 }} }}; steps = 0"
     clips = {"a": {"wave": ClipData(0.8, 0.0, False, {"start": 0.0})}}
-    seen = play(f"{HEAD}start one\n{states} }}", crowd(1), steps=14, ways=EVERY_WAY, clips=clips)
-    assert seen.every("steps") == [0] + [1] * 14
+    history = play(f"{HEAD}start one\n{states} }}", crowd(1), steps=14, option_sets=EVERY_WAY, clips=clips)
+    assert history.every("steps") == [0] + [1] * 14
 
 
-def test_an_edit_that_numbers_clips_anew_lets_them_go_on() -> None:
+def test_an_edit_that_renumbers_clips_lets_them_go_on() -> None:
     begin = "species a { size 10 mm\nstart one\n"
     wave = f"state one {{ play wave; steer {GOES}; when after 100 s -> two }}\n"
     rest = f"state two {{ play breathe; steer {GOES} }}\n}}"
@@ -173,7 +180,7 @@ def test_an_edit_that_numbers_clips_anew_lets_them_go_on() -> None:
         ("when after 1 s -> s over 3 mm", "wrong-unit", None),
     ],
 )
-def test_mistakes_are_told_with_what_to_write(line: str, code: str, help: str | None) -> None:
+def test_mistakes_are_reported_with_a_correction(line: str, code: str, help: str | None) -> None:
     from test_program import checked
 
     _, report = checked(f"ant 1\nspecies a {{\n  start s\n  state s {{\n    steer heading\n    {line}\n  }}\n}}\n")
@@ -186,31 +193,31 @@ def test_how_much_an_agent_turns_and_climbs() -> None:
     steer = "face rotate(heading, about: up, by: 4.5 deg)"
     line = "play walk(left: lean_left, right: lean_right, up: climb, down: descend)"
     turning = f"max_turn 45 deg/s\nstate one {{ {line}; {steer}; steer {GOES} }}"
-    seen = shown(turning, 20, start="one")
-    turned = np.array(seen.every("lean#turn"))
-    headings = np.array([seen.every(f"heading.{axis}") for axis in "xz"]).T
+    history = play_states(turning, 20, start="one")
+    turned = np.array(history.every("lean#turn"))
+    headings = np.array([history.every(f"heading.{axis}") for axis in "xz"]).T
     rate = np.degrees(np.arctan2(headings[1:-1, 1] * headings[2:, 0] - headings[1:-1, 0] * headings[2:, 1],
                                  (headings[1:-1] * headings[2:]).sum(axis=1))) * 10  # fmt: skip
     assert turned[0] == 0 and turned[-1] == pytest.approx(rate[-2] / 90, abs=0.05) and turned[-1] > 0.2
-    assert seen.every("lean#slope") == pytest.approx([0] * 21, abs=1e-6), "the ground is level"
-    (clip,) = seen.world.plan.species["a"].clips
+    assert history.every("lean#slope") == pytest.approx([0] * 21, abs=1e-6), "the ground is level"
+    (clip,) = history.world.plan.species["a"].clips
     assert (clip.left, clip.right, clip.up, clip.down) == ("lean_left", "lean_right", "climb", "descend") and clip.leans
-    straight = shown(f"state one {{ {line}; steer {GOES} }}", 6)
+    straight = play_states(f"state one {{ {line}; steer {GOES} }}", 6)
     assert straight.every("lean#turn") == pytest.approx([0] * 7, abs=1e-6)
 
 
 def test_who_waits_for_a_clip_where_none_plays_is_warned() -> None:
     from test_program import checked
 
-    def told(first: str, second: str, anywhere: str = "") -> list[tuple[str, str | None]]:
+    def diagnose(first: str, second: str, anywhere: str = "") -> list[tuple[str, str | None]]:
         states = f"  state s {{ steer heading; {first} }}\n  state t {{ steer heading; {second} }}\n"
         text = f"ant 1\nspecies a {{\n  start s\n  {anywhere}\n{states}}}\n"
         return [(each.code, each.help) for each in checked(text)[1].sorted()]
 
     waits = "when clip done and age > 1 s -> s"
-    assert told("play wave; when after 1 s -> t", waits) == [
+    assert diagnose("play wave; when after 1 s -> t", waits) == [
         ("never-fires", "write `play walk` or another clip as a line of `t`")
     ]
-    assert told("play wave; when after 1 s -> t", "play walk; " + waits) == []
-    assert told("play wave; when after 1 s -> t", waits.replace(" and ", " or ")) == []
-    assert told("play wave; when after 1 s -> t", "when after 1 s -> s", "from any when clip at foot -> t") == []
+    assert diagnose("play wave; when after 1 s -> t", "play walk; " + waits) == []
+    assert diagnose("play wave; when after 1 s -> t", waits.replace(" and ", " or ")) == []
+    assert diagnose("play wave; when after 1 s -> t", "when after 1 s -> s", "from any when clip at foot -> t") == []

@@ -10,7 +10,7 @@ import pytest
 
 from antdsl.runtime.moving import capsule_distances, capsules, contacts, corrections, cutting, separation
 from antdsl.runtime.moving.capsules import Crowd, Near, depths, find
-from tests.runtime.test_contacts import CrowdData, heap, world
+from tests.runtime.test_contacts import CrowdData, cluster, world
 
 ROWS = 60
 
@@ -39,15 +39,15 @@ def gap_of(near: SimpleNamespace | Near, middle: np.ndarray, p: int, q: int) -> 
     a, b, away = near.ahead[:, p], near.ahead[:, q], middle[:, p] - middle[:, q]
     flat = [v - between * (v @ between) for v in (away, a, b)]
     s, t = closest(*flat, near.half[p], near.half[q])
-    apart = away + a * s - b * t
-    over = apart @ between
-    apart = apart - between * over
+    separation_vector = away + a * s - b * t
+    over = separation_vector @ between
+    separation_vector = separation_vector - between * over
     wide = near.radius[p] + near.radius[q]
     extent = wide**2 - over**2
-    if np.linalg.norm(apart) <= wide * 1e-6:
-        apart = flat[0]
-        return (-np.sqrt(extent) if extent > 0 else np.inf), apart / max(np.linalg.norm(apart), 1e-9)
-    return (np.linalg.norm(apart) - np.sqrt(extent) if extent > 0 else np.inf), unit(apart)
+    if np.linalg.norm(separation_vector) <= wide * 1e-6:
+        separation_vector = flat[0]
+        return (-np.sqrt(extent) if extent > 0 else np.inf), separation_vector / max(np.linalg.norm(separation_vector), 1e-9)
+    return (np.linalg.norm(separation_vector) - np.sqrt(extent) if extent > 0 else np.inf), unit(separation_vector)
 
 
 def bodies(seed: int, spread: float = 6.0, tilt: float = 0.25) -> SimpleNamespace:
@@ -77,18 +77,20 @@ def test_gaps_of_capsules_are_those_of_their_closest_points(seed: int) -> None:
     built, rng = bodies(seed), np.random.default_rng(seed)
     near, moved = near_of(built), rng.normal(0, 0.4, (3, ROWS))
     changed = rng.random(ROWS) < 0.4
-    previous = near.gap.copy(), near.way.copy()
+    previous = near.gap.copy(), near.direction.copy()
     expected = [gap_of(near, near.middle, p, q) for p, q in zip(near.i, near.j, strict=True)]
     assert np.allclose(near.gap, [gap for gap, _ in expected], atol=1e-9)
-    assert np.allclose(near.way.T, [path for _, path in expected], atol=1e-7)
+    assert np.allclose(near.direction.T, [path for _, path in expected], atol=1e-7)
     assert np.isinf(near.gap).any() and (near.gap < 0).sum() > 20
     near.measure(moved, changed)
     again = changed[near.i] | changed[near.j]
     expected = [gap_of(near, near.middle + moved, p, q) for p, q in zip(near.i, near.j, strict=True)]
     assert np.allclose(near.gap[again], np.array([gap for gap, _ in expected])[again], atol=1e-9)
-    assert np.allclose(near.way[:, again].T, np.array([path for _, path in expected])[again], atol=1e-7)
-    assert np.array_equal(near.gap[~again], previous[0][~again]) and np.array_equal(near.way[:, ~again], previous[1][:, ~again])
-    gap, path, depth = near.before(moved)
+    assert np.allclose(near.direction[:, again].T, np.array([path for _, path in expected])[again], atol=1e-7)
+    assert np.array_equal(near.gap[~again], previous[0][~again]) and np.array_equal(
+        near.direction[:, ~again], previous[1][:, ~again]
+    )
+    gap, path, depth = near.measure_before(moved)
     expected = [gap_of(near, near.middle - moved, p, q) for p, q in zip(near.i, near.j, strict=True)]
     assert np.allclose(gap, [each for each, _ in expected], atol=1e-9)
     assert np.allclose(path.T, [each for _, each in expected], atol=1e-7)
@@ -96,7 +98,7 @@ def test_gaps_of_capsules_are_those_of_their_closest_points(seed: int) -> None:
 
 
 def crowds(spread: float):
-    built = world(CrowdData("ant", 90, heap(90, spread)), CrowdData("ball", 3, heap(3, spread), 1, body="ball"))
+    built = world(CrowdData("ant", 90, cluster(90, spread)), CrowdData("ball", 3, cluster(3, spread), 1, body="ball"))
     rng = np.random.default_rng(7)
     for population in built.populations.values():
         for name in ("up", "heading"):
@@ -125,7 +127,7 @@ def test_capsules_lie_where_the_shape_of_a_body_puts_them() -> None:
 
 
 @pytest.mark.parametrize("place", [np.nan, np.inf, -np.inf])
-def test_one_without_a_place_is_near_nobody(place: float) -> None:
+def test_one_without_a_place_has_no_neighbours(place: float) -> None:
     built = crowds(8.0)
     others = {(p, q) for p, q in pairs_of(find(Crowd(built))) if 70 not in (p, q)}
     built.populations["ant"].position[70, 1] = place
@@ -166,14 +168,14 @@ def test_all_pairs_that_may_meet_are_found(dead: float | None) -> None:
         sign = 1 if keys[pair[0]] < keys[pair[1]] else -1
         assert np.isclose(near.gap[k], expected[pair][0], atol=1e-9)
         if pair != (4, 5):
-            assert np.allclose(near.way[:, k], sign * expected[pair][1], atol=1e-7)
+            assert np.allclose(near.direction[:, k], sign * expected[pair][1], atol=1e-7)
     assert np.isclose(near.widest, max(crowd.radius[list(pair)].max() for pair in summary))
     assert np.array_equal(near.rows, np.unique(list(expected)))
     for name in ("middle", "half", "radius"):
         assert np.array_equal(getattr(near, name), getattr(crowd, name)[..., near.rows])
     assert np.array_equal(near.ahead, total.ahead[:, near.rows]) and np.array_equal(near.up, total.up[:, near.rows])
     if dead is None:
-        path, up = near.way[:, result[4, 5]], near.up[:, near.i[result[4, 5]]]
+        path, up = near.direction[:, result[4, 5]], near.up[:, near.i[result[4, 5]]]
         assert np.isclose(np.linalg.norm(path), 1, atol=0.1) and abs(path @ up) < 0.1
         worst = [max([0.0, *(-gap for pair, (gap, _) in summary.items() if k in pair)]) for k in range(len(crowd))]
         assert np.allclose(depths(built), worst / np.maximum(2 * crowd.radius, 1e-9), atol=1e-9)
@@ -191,7 +193,7 @@ def within(moved: np.ndarray, middle: np.ndarray, extent: float) -> np.ndarray:
     return (middle + moved) * (extent / size) - middle if size > extent else moved
 
 
-def shares(near, pairs, depth, light, heap, normal) -> dict[tuple[int, int], float]:
+def shares(near, pairs, depth, light, heap_share, normal) -> dict[tuple[int, int], float]:
     """What of its overlap each of a pair makes room for, by pair and row."""
     locked = {k: sum(depth[n] for n in pairs if k in (near.i[n], near.j[n])) for k in range(ROWS)}
     most = max(depth.values())
@@ -206,7 +208,7 @@ def shares(near, pairs, depth, light, heap, normal) -> dict[tuple[int, int], flo
     result = {}
     for n in pairs:
         p, q = near.i[n], near.j[n]
-        outward = 1 + 9 * max(heap[p], heap[q])
+        outward = 1 + 9 * max(heap_share[p], heap_share[q])
         outer = np.clip(0.5 + outward * (locked[q] - locked[p]) / max(locked[p] + locked[q], 1e-300), 1 / 64, 63 / 64)
         one = light[p] * outer * np.sum(level(near.way[:, n], normal[:, p]) ** 2)
         two = light[q] * (1 - outer) * np.sum(level(near.way[:, n], normal[:, q]) ** 2)
@@ -220,7 +222,7 @@ def part_bodies(near: Near, agents, which, held, walked, depth, looks, sweeps, s
     size = np.linalg.norm(walked, axis=0)
     most = np.maximum(agents.reach, size)
     extent = np.minimum(most * 0.3 + depth, most) * agents.yields
-    heap = np.where(size <= 0.01 * most, 1.0, np.clip(depth / (near.radius * 0.4) - 0.5, 0, 1))
+    heap_share = np.where(size <= 0.01 * most, 1.0, np.clip(depth / (near.radius * 0.4) - 0.5, 0, 1))
     light, moved, which = np.where(held, 0.0, 1 / agents.mass), cut.copy(), which.copy()
     dead = (near.radius[near.i] + near.radius[near.j]) * 5e-4
     for _ in range(looks):
@@ -230,27 +232,29 @@ def part_bodies(near: Near, agents, which, held, walked, depth, looks, sweeps, s
         if not pairs:
             break
         overlap = {n: -near.gap[n] if near.gap[n] < -dead[n] else 0.0 for n in pairs}
-        part, led = shares(near, pairs, overlap, light, heap, agents.normal), moved.copy()
+        part, new_displacement = shares(near, pairs, overlap, light, heap_share, agents.normal), moved.copy()
         for _ in range(sweeps):
             sums, weight, contacts = np.zeros((3, ROWS)), np.zeros(ROWS), np.zeros(ROWS)
             for n in pairs:
                 p, q = near.i[n], near.j[n]
-                left = near.gap[n] + near.way[:, n] @ ((led - moved)[:, p] - (led - moved)[:, q])
+                left = near.gap[n] + near.direction[:, n] @ ((new_displacement - moved)[:, p] - (new_displacement - moved)[:, q])
                 if left < -dead[n]:
-                    for k, path in ((p, near.way[:, n]), (q, -near.way[:, n])):
+                    for k, path in ((p, near.direction[:, n]), (q, -near.direction[:, n])):
                         flat = level(path, agents.normal[:, k])
                         sums[:, k] -= flat * (part[n, k] / max(flat @ flat, 0.1) * left * share)
                         weight[k] += part[n, k]
                         contacts[k] += 1
             if not contacts.any():
                 break
-            sums *= np.where(contacts > 1, 1 + 0.5 * heap, 1.0) / np.maximum(weight, 1.0)
+            sums *= np.where(contacts > 1, 1 + 0.5 * heap_share, 1.0) / np.maximum(weight, 1.0)
             for k in np.flatnonzero(contacts):
-                led[:, k] = within(within(led[:, k] + sums[:, k], -cut[:, k], extent[k]), walked[:, k], most[k])
-        changed = np.abs(led - moved).max(axis=0) > 0
-        moved = led
+                new_displacement[:, k] = within(
+                    within(new_displacement[:, k] + sums[:, k], -cut[:, k], extent[k]), walked[:, k], most[k]
+                )
+        changed = np.abs(new_displacement - moved).max(axis=0) > 0
+        moved = new_displacement
         for n in np.flatnonzero(changed[near.i] | changed[near.j]):
-            near.gap[n], near.way[:, n] = gap_of(near, near.middle + moved, near.i[n], near.j[n])
+            near.gap[n], near.direction[:, n] = gap_of(near, near.middle + moved, near.i[n], near.j[n])
             which[n] = True
     return moved
 
@@ -276,20 +280,20 @@ def test_bodies_part_as_one_pair_after_another_says(looks: int, sweeps: int, sha
     effort, work = contacts.Effort(looks, sweeps, 1), separation.arrays(ROWS, len(near.i))
     for each in (near, again):
         each.measure(stand["cut"], np.ones(ROWS, np.bool_))
-    given = (stand["held"], stand["walked"], stand["deep"])
-    expected = part_bodies(again, agents, which, *given, looks, sweeps, share, stand["cut"])
+    inputs = (stand["held"], stand["walked"], stand["deep"])
+    expected = part_bodies(again, agents, which, *inputs, looks, sweeps, share, stand["cut"])
     cached = which.copy()
-    result = contacts._apart(near, agents, which, *given, effort, share, stand["cut"], work)
+    result = contacts._separate(near, agents, which, *inputs, effort, share, stand["cut"], work)
     assert np.allclose(result, expected, atol=1e-7) and np.array_equal(which, cached)
     assert (np.abs(result - stand["cut"]).max(axis=0) > 1e-4).sum() > 20
 
 
-def cut_steps(near: Near, came, mass, walked, gap, path) -> np.ndarray:
+def cut_steps(near: Near, approach, mass, walked, gap, path) -> np.ndarray:
     """Steps that are bent along what is in their way, and cut."""
     free = {}
     for n, (p, q) in enumerate(zip(near.i, near.j, strict=True)):
         for own, other, paths in ((p, q, path[:, n]), (q, p, -path[:, n])):
-            far = max(gap[n], 0.0) / 2 + max(-paths @ came[:, other], 0.0)
+            far = max(gap[n], 0.0) / 2 + max(-paths @ approach[:, other], 0.0)
             heavier = 1 - min(2 * mass[other] / (mass[own] + mass[other]), 1.0)
             free[n, own] = (far + heavier * max(-paths @ walked[:, own] - far, 0.0), paths)
     step = walked.copy()
@@ -311,10 +315,10 @@ def cut_steps(near: Near, came, mass, walked, gap, path) -> np.ndarray:
 def test_steps_into_others_are_bent_and_cut(seed: int) -> None:
     rng = np.random.default_rng(seed)
     near, (agents, stand) = near_of(bodies(seed, 9.0)), agents_of(seed)
-    walked, came = 3 * stand["walked"], rng.normal(0, 0.2, (3, ROWS))
-    gap, path, _ = near.before(walked)
-    short, stopped, changed = cutting.cut(near, came, agents.mass, walked, gap, path)
-    step = cut_steps(near, came, agents.mass, walked, gap, path)
+    walked, approach = 3 * stand["walked"], rng.normal(0, 0.2, (3, ROWS))
+    gap, path, _ = near.measure_before(walked)
+    short, stopped, changed = cutting.cut(near, approach, agents.mass, walked, gap, path)
+    step = cut_steps(near, approach, agents.mass, walked, gap, path)
     off = np.abs(walked + short - step).max(axis=0) > 1e-9
     assert off.sum() <= 2  # a step that is bent along something exactly is over it by rounding
     halted = (step**2).sum(axis=0) < 0.25 * (walked**2).sum(axis=0)
@@ -370,7 +374,7 @@ def test_a_crowd_stands_and_came_as_its_registers_say() -> None:
     assert np.array_equal(mass[to], np.maximum(weight[rows].astype(float), 1e-30))
     assert all((each[..., 8:] == -7).all() and (each[..., :4] == -7).all() for each in (start, walked, normal, reach, mass))
     velocity, path = registers(rng, n), np.full((3, 9), -7.0)
-    corrections.came(rows, 4, velocity, np.float32(0.3), path)
+    corrections.fill_approach(rows, 4, velocity, np.float32(0.3), path)
     assert np.array_equal(path[:, to], (np.stack(velocity)[:, rows] * np.float32(0.3)).astype(float))
     assert (path[:, 8:] == -7).all() and (path[:, :4] == -7).all()
 
@@ -408,12 +412,12 @@ def test_corrections_go_no_farther_than_agents_may_walk_and_take_velocity_that_l
     assert np.array_equal(place[others], old[others]) and lost > 5
 
 
-def test_a_walk_is_asked_with_the_way_the_ground_and_how_agents_stand() -> None:
+def test_a_walk_is_prepared_with_the_step_the_ground_and_how_agents_stand() -> None:
     rng, n, rows = np.random.default_rng(6), 20, np.array([1, 5, 19])
     moved, feet, facing = rng.normal(size=(3, 3)), rng.normal(size=(n, 3)).astype(np.float32), registers(rng, n)
     long, (path, normal) = rng.random(n).astype(np.float32), np.empty((2, 3, 3), np.float32)
     (up, heading), size = np.empty((2, 3, 3)), np.empty(3)
-    corrections._asked(rows, moved, feet, facing, long, path, normal, up, heading, size)
+    corrections._prepare_walk(rows, moved, feet, facing, long, path, normal, up, heading, size)
     assert np.array_equal(path, moved.astype(np.float32)) and np.array_equal(normal, feet[rows].T)
     assert np.array_equal(up, feet[rows].T.astype(float)) and np.array_equal(heading, np.stack(facing)[:, rows].astype(float))
     assert np.array_equal(size, long[rows].astype(float))

@@ -8,7 +8,7 @@ from pathlib import Path
 import meshes
 import numpy as np
 import pytest
-from meaning import FAST, WAYS, crowd, play
+from meaning import FAST, OPTION_SETS, crowd, play
 from typer.testing import CliRunner
 
 from antdsl.cli import app
@@ -24,25 +24,25 @@ on spawn { heading = vector(1, 0, 0); velocity = vector(0 mm/s, 0 mm/s, 0 mm/s) 
 let feeler = nearest(feelers(stones, count: 1, spread: 0 deg, reach: 30 mm))
 start s
 state s { x = min(feeler.distance, 99 mm); when false -> s } }"""
-HERE = np.zeros((1, 3))
+ORIGIN = np.zeros((1, 3))
 BALL = {"stones": MeshData(*meshes.ball(10.0, (20, 0, 0), 24))}
-PLACES = [(0, 0), (0, 7), (0, 9.9), (11, 8), (0, 12)]
+POINTS = [(0, 0), (0, 7), (0, 9.9), (11, 8), (0, 12)]
 
 
-def felt(near: float, far: float = float("inf")) -> list[float]:
+def feeler_distances(near: float, far: float = float("inf")) -> list[float]:
     data = DetailData(np.array([[0.0, 100.0, 0.0]]), near, far)
-    return play(FEELS, crowd(at=PLACES), world=WORLD, obstacles=BALL, detail=data)["x"]
+    return play(FEELS, crowd(at=POINTS), world=WORLD, obstacles=BALL, detail=data)["x"]
 
 
 @pytest.mark.slow
 def test_feelers_meet_triangles_then_boxes_then_nothing() -> None:
     inf = 99.0  # nothing
-    ball = [20 - np.sqrt(100 - z * z) - x for x, z in PLACES[:4]]
-    assert felt(200) == pytest.approx([*ball, inf], abs=0.3)
+    ball = [20 - np.sqrt(100 - z * z) - x for x, z in POINTS[:4]]
+    assert feeler_distances(200) == pytest.approx([*ball, inf], abs=0.3)
     # who stands beside the ball and inside its box still feels the ball
-    assert felt(50) == pytest.approx([10, 10, 10, ball[3], inf], abs=0.05)
-    assert felt(50, 90) == [inf] * 5
-    assert felt(50, 100.1) == pytest.approx([10, inf, inf, inf, inf], abs=0.05)  # by each one's own distance
+    assert feeler_distances(50) == pytest.approx([10, 10, 10, ball[3], inf], abs=0.05)
+    assert feeler_distances(50, 90) == [inf] * 5
+    assert feeler_distances(50, 100.1) == pytest.approx([10, inf, inf, inf, inf], abs=0.05)  # by each one's own distance
 
 
 def test_pieces_hang_together_by_the_places_of_their_corners() -> None:
@@ -51,21 +51,21 @@ def test_pieces_hang_together_by_the_places_of_their_corners() -> None:
     lone = np.array([[99.0, 0, 0]])
     mesh = MeshData(np.concatenate([corners, lone]), np.arange(len(corners), dtype=np.int32).reshape(-1, 3))
     low, high = Pieces(mesh).boxes(mesh.vertices)
-    found = sorted(zip(low.round(3).tolist(), high.round(3).tolist(), strict=True))
-    assert found[1] == ([10, 1, 2], [13, 4, 6]) and len(found) == 2  # boxes that touch in a corner are one piece
-    assert found[0][1][1] == 5.0
+    boxes = sorted(zip(low.round(3).tolist(), high.round(3).tolist(), strict=True))
+    assert boxes[1] == ([10, 1, 2], [13, 4, 6]) and len(boxes) == 2  # boxes that touch in a corner are one piece
+    assert boxes[0][1][1] == 5.0
 
 
 @pytest.mark.slow
 def test_boxes_go_with_their_obstacle() -> None:
-    way = np.repeat(np.eye(3, 4)[None], 4, axis=0)
-    way[:, 2, 3] = (0, 3, 6, 9)
-    moves = Moves(meshes={"stones": MeshMoves.rigid(way, len(BALL["stones"].vertices))})
+    poses = np.repeat(np.eye(3, 4)[None], 4, axis=0)
+    poses[:, 2, 3] = (0, 3, 6, 9)
+    moves = Moves(meshes={"stones": MeshMoves.rigid(poses, len(BALL["stones"].vertices))})
     at = crowd(at=[(0, -9), (0, 9), (0, 18)])
     data = DetailData(np.array([[0.0, 100.0, 0.0]]), 50.0)
-    seen = play(FEELS, at, steps=4, world=WORLD, obstacles=BALL, detail=data, moves=moves)
-    assert seen["x"] == pytest.approx([99, 10, 10], abs=0.05)  # at frame 3 the box is 9 mm further
-    assert seen.at("x", 1) == pytest.approx([10, 10, 99], abs=0.05)
+    history = play(FEELS, at, steps=4, world=WORLD, obstacles=BALL, detail=data, moves=moves)
+    assert history["x"] == pytest.approx([99, 10, 10], abs=0.05)  # at frame 3 the box is 9 mm further
+    assert history.at("x", 1) == pytest.approx([10, 10, 99], abs=0.05)
 
 
 def test_inside_is_inside_of_any_box() -> None:
@@ -73,8 +73,8 @@ def test_inside_is_inside_of_any_box() -> None:
     place = draw.uniform(0, 10, (500, 3)).astype(np.float32)
     low = draw.uniform(0, 9, (40, 3)).astype(np.float32)
     high = low + draw.uniform(0, 2, (40, 3)).astype(np.float32)
-    wanted = ((place[:, None] >= low) & (place[:, None] <= high)).all(axis=2).any(axis=1)
-    assert 0 < wanted.sum() < 500 and np.array_equal(inside(place, low, high), wanted)
+    expected = ((place[:, None] >= low) & (place[:, None] <= high)).all(axis=2).any(axis=1)
+    assert 0 < expected.sum() < 500 and np.array_equal(inside(place, low, high), expected)
 
 
 AVOID = """behaviour round() -> push {
@@ -89,7 +89,7 @@ layers { round(); state } }"""
 STONES = {"stones": MeshData(*meshes.ball(9.0, (25, 0, 10), 8))}
 
 
-def test_same_bits_whatever_the_way_and_nobody_walks_through() -> None:
+def test_same_bits_for_all_options_and_no_agent_walks_through() -> None:
     data = DetailData(np.array([[0.0, 30.0, 0.0]]), 40.0, 60.0)
     deepest = []
 
@@ -97,19 +97,21 @@ def test_same_bits_whatever_the_way_and_nobody_walks_through() -> None:
         away = np.linalg.norm(world.populations["a"].position - (25, 0, 10), axis=1)
         deepest.append(float(away.min()))
 
-    seen = play(AVOID, crowd(150, radius=50), steps=12, world=WORLD, obstacles=STONES, detail=data, ways=FAST, each=watch)
+    history = play(
+        AVOID, crowd(150, radius=50), steps=12, world=WORLD, obstacles=STONES, detail=data, option_sets=FAST, each=watch
+    )
     assert min(deepest) > 8.0
-    counts = seen.world.detail.counts
+    counts = history.world.detail.counts
     assert counts[0] == 12 and counts[1:].sum() == 12 * 150 and counts[1:].min() > 0
-    play(AVOID, crowd(14, radius=50), steps=6, world=WORLD, obstacles=STONES, detail=data, ways=WAYS)
+    play(AVOID, crowd(14, radius=50), steps=6, world=WORLD, obstacles=STONES, detail=data, option_sets=OPTION_SETS)
 
 
 def test_near_enough_is_as_if_there_were_no_levels_and_a_checkpoint_goes_on() -> None:
     at = crowd(60, radius=50)
-    plain = play(AVOID, at, steps=10, world=WORLD, obstacles=STONES, ways=FAST[:1]).world
-    near = play(AVOID, at, steps=10, world=WORLD, obstacles=STONES, ways=FAST[:1], detail=DetailData(HERE, 1e6)).world
+    plain = play(AVOID, at, steps=10, world=WORLD, obstacles=STONES, option_sets=FAST[:1]).world
+    near = play(AVOID, at, steps=10, world=WORLD, obstacles=STONES, option_sets=FAST[:1], detail=DetailData(ORIGIN, 1e6)).world
     assert state_hash(plain) == state_hash(near)
-    far = play(AVOID, at, steps=10, world=WORLD, obstacles=STONES, ways=FAST[:1], detail=DetailData(HERE, 20.0)).world
+    far = play(AVOID, at, steps=10, world=WORLD, obstacles=STONES, option_sets=FAST[:1], detail=DetailData(ORIGIN, 20.0)).world
     assert state_hash(far) != state_hash(plain)
     again = bind(far.plan, far.setting, Options())
     checkpoints.restore(again, checkpoints.checkpoint(far))
@@ -150,9 +152,9 @@ def folder(tmp_path: Path) -> Path:
 
 def test_a_run_says_how_many_were_at_which_level(folder: Path) -> None:
     words = ["run", str(folder / "scene.yaml"), "--out", str(folder / "out"), "--summary", str(folder / "s.json")]
-    told = CliRunner().invoke(app, words)
-    assert told.exit_code == 0, told.output
-    assert "level of detail, agents on the average: triangles " in told.output
+    result = CliRunner().invoke(app, words)
+    assert result.exit_code == 0, result.output
+    assert "level of detail, agents on the average: triangles " in result.output
     lod = json.loads((folder / "s.json").read_text())["lod"]
     assert set(lod["end"]) == {"triangles", "boxes", "nothing"} and sum(lod["end"].values()) == 40
     assert sum(lod["mean"].values()) == pytest.approx(40, abs=0.01) and min(lod["mean"].values()) > 0
@@ -167,11 +169,11 @@ def test_a_run_says_how_many_were_at_which_level(folder: Path) -> None:
         ("near: 60 mm, ", "", "lod", "`lod` has no `near`"),
     ],
 )
-def test_what_does_not_fit_is_told_in_the_scene(folder: Path, old: str, new: str, place: str, words: str) -> None:
+def test_what_does_not_fit_is_reported_in_the_scene(folder: Path, old: str, new: str, place: str, words: str) -> None:
     (folder / "scene.yaml").write_text(SCENE.replace(old, new))
-    told = CliRunner().invoke(app, ["check", str(folder / "scene.yaml"), "--format", "concise"])
-    assert told.exit_code == 1 and words in told.output, told.output
-    assert told.output.count("error[") + told.output.count("warning[") == 1, told.output
+    result = CliRunner().invoke(app, ["check", str(folder / "scene.yaml"), "--format", "concise"])
+    assert result.exit_code == 1 and words in result.output, result.output
+    assert result.output.count("error[") + result.output.count("warning[") == 1, result.output
 
 
 def test_the_camera_is_part_of_the_result_only_where_it_counts(folder: Path) -> None:
@@ -191,7 +193,7 @@ def test_the_camera_is_part_of_the_result_only_where_it_counts(folder: Path) -> 
 def test_levels_go_by_the_scene_moved_to_its_middle() -> None:
     """Far from zero a scene is bound about its own middle; the camera with it."""
     middle = np.array([1e6, 0, 0])
-    made = Detail(DetailData(np.add(middle, [[0, 0, 0], [0, 0, 9], [0, 0, 20]]), 10.0, first=5), middle, {})
-    places = np.array([[0, 0, 5], [0, 0, 15]], np.float32)
-    found = [made._levels(places, frame).tolist() for frame in (0, 5, 6, 7, 99)]
-    assert found == [[0, 1], [0, 1], [0, 0], [1, 0], [1, 0]]  # a camera that moves; before and after it stands
+    detail = Detail(DetailData(np.add(middle, [[0, 0, 0], [0, 0, 9], [0, 0, 20]]), 10.0, first=5), middle, {})
+    positions = np.array([[0, 0, 5], [0, 0, 15]], np.float32)
+    levels = [detail._levels(positions, frame).tolist() for frame in (0, 5, 6, 7, 99)]
+    assert levels == [[0, 1], [0, 1], [0, 0], [1, 0], [1, 0]]  # a camera that moves; before and after it stands

@@ -46,38 +46,38 @@ def watched(shot: Shot) -> tuple[World, list[str], dict[str, list[np.ndarray]]]:
     """A run, its hashes, and where everybody stood at each frame."""
     world = bound(shot)
     hashes = [state_hash(world)]
-    places: dict[str, list[np.ndarray]] = {"digger": [], "walker": [], "on": [], "off": []}
+    positions_by_name: dict[str, list[np.ndarray]] = {"digger": [], "walker": [], "on": [], "off": []}
     hill, falls = world.solids["hill"], 0
     for _ in range(STEPS):
-        before = {name: p.position[p.in_id_order()] for name, p in world.populations.items()}
+        previous_positions = {name: p.position[p.in_id_order()] for name, p in world.populations.items()}
         step(world)
         hashes.append(state_hash(world))
         for name, population in world.populations.items():
             rows = population.in_id_order()
             place, mesh = population.position[rows], population.footing.mesh[rows]
-            places[name].append(place)
+            positions_by_name[name].append(place)
             away = hill.sample(place).astype(np.float64)
             assert (away[mesh == 0] > -0.06 * hill.voxel).all(), "on ground that is inside undug solid"
             level = 1.2 * np.sin(place[:, 0] / 20) + np.cos(place[:, 2] / 17)
             assert (place[:, 1] > level - 0.4).all(), "below the ground"
-            middle = hill.sample((place + before[name]) / 2)
+            middle = hill.sample((place + previous_positions[name]) / 2)
             assert (middle > -0.75 * hill.voxel).all(), "through undug solid"
-            gone = np.sqrt(((place - before[name]) ** 2).sum(axis=1))
+            distances = np.sqrt(((place - previous_positions[name]) ** 2).sum(axis=1))
             most = population.now["max_speed"][rows].astype(np.float64) / 24
-            assert (gone < 1.01 * most).all(), "farther than a step, or a fall of one frame"
+            assert (distances < 1.01 * most).all(), "farther than a step, or a fall of one frame"
             falling = (mesh == 1) & (np.abs(away) > 4e-4)
-            assert (gone[falling] > 0.99 * most[falling]).all(), "off the solid's surface, and not on the way down to it"
+            assert (distances[falling] > 0.99 * most[falling]).all(), "off the solid's surface, and not on the way down to it"
             falls += int(falling.sum())
             heading, up = population.vector("heading")[rows], population.vector("up")[rows]
             assert np.abs((heading * up).sum(axis=1)).max() < 1e-4
             assert np.abs((heading * heading).sum(axis=1) - 1).max() < 1e-4
     assert falls, "nobody's ground was dug away"
-    return world, hashes, places
+    return world, hashes, positions_by_name
 
 
 def test_diggers_come_out_on_the_other_side_of_the_hill_they_went_into(watched, shot):
-    _, _, places = watched
-    digger = np.stack(places["digger"])
+    _, _, positions_by_name = watched
+    digger = np.stack(positions_by_name["digger"])
     fresh = bound(shot).solids["hill"]
     inside = fresh.sample(digger.reshape(-1, 3)).reshape(digger.shape[:2])
     through = (inside.min(axis=0) < -1.5) & (digger[0, :, 0] < -15) & (digger[-1, :, 0] > 15)
@@ -85,9 +85,9 @@ def test_diggers_come_out_on_the_other_side_of_the_hill_they_went_into(watched, 
     assert digger[:, through, 1].max() < 9, "through, not over: the hill is 17 high"
 
 
-def test_who_does_not_dig_is_kept_out(watched, shot):
-    _, _, places = watched
-    walker = np.stack(places["walker"])
+def test_an_agent_that_does_not_dig_stays_outside(watched, shot):
+    _, _, positions_by_name = watched
+    walker = np.stack(positions_by_name["walker"])
     dug = watched[0].solids["hill"].sample(walker.reshape(-1, 3))
     assert dug.min() > -0.06
     assert (walker[-1, :, 0] > 0).sum() > 2, "over the hill, round it or through what others dug"
@@ -98,10 +98,10 @@ def test_what_is_removed_is_what_was_counted(watched, shot):
     world = watched[0]
     hill = world.solids["hill"]
     held = world.populations["digger"].now["soil"].astype(np.float64).sum()
-    given = world.items["heap"].amounts["soil"].sum()
-    before = bound(shot).solids["hill"].volume()
-    assert hill.removed > 500 and given > 100
-    assert held + given == hill.removed == before - hill.volume()
+    heap_soil = world.items["heap"].amounts["soil"].sum()
+    start_volume = bound(shot).solids["hill"].volume()
+    assert hill.removed > 500 and heap_soil > 100
+    assert held + heap_soil == hill.removed == start_volume - hill.volume()
 
 
 def test_open_ground_in_a_tunnel_is_walked_on(watched, shot):
@@ -113,9 +113,9 @@ def test_open_ground_in_a_tunnel_is_walked_on(watched, shot):
     assert standing.mesh[0] == 1, "closed by the hill: the place is on top of it"
     floor = ground.meshes.position(ground.meshes.place(middle, fresh.up, None)[0])
     hill.carve(floor + np.array([0.0, 2.0, 0.0]), np.array([5.0]), np.zeros(1, np.int64))
-    way = np.array([[1.0, 0.0, 0.0]])
+    direction = np.array([[1.0, 0.0, 0.0]])
     onto = ground.nearest(floor)[0]
-    moved = ground.move(onto, way, way, np.array([[0.0, 1.0, 0.0]]), 4.0)
+    moved = ground.move(onto, direction, direction, np.array([[0.0, 1.0, 0.0]]), 4.0)
     assert moved.footing.mesh[0] == 0 and not moved.blocked[0]
     assert moved.position[0, 0] == pytest.approx(floor[0, 0] + 1.0, abs=0.05)
 
@@ -156,27 +156,27 @@ def test_a_checkpoint_goes_on_to_the_same_hashes(shot, watched):
     world = bound(shot)
     for _ in range(45):
         step(world)
-    kept = checkpoint(world)
+    saved = checkpoint(world)
     other = bound(shot, shuffle_rows=2)
-    restore(other, kept)
+    restore(other, saved)
     for frame in range(45, 60):
         assert state_hash(other) == watched[1][frame]
         step(other)
-    kept["solid.hill.values"] = kept["solid.hill.values"][:-1]
+    saved["solid.hill.values"] = saved["solid.hill.values"][:-1]
     with pytest.raises(CheckpointError, match="hill"):
-        restore(bound(shot), kept)
+        restore(bound(shot), saved)
 
 
 def run(*words: str | Path, code: int = 0) -> str:
-    done = antdsl(*map(str, words), cwd=Path.cwd())
-    assert done.returncode == code, done.stdout + done.stderr
-    return done.stdout + done.stderr
+    process = antdsl(*map(str, words), cwd=Path.cwd())
+    assert process.returncode == code, process.stdout + process.stderr
+    return process.stdout + process.stderr
 
 
 def surface(folder: Path, frame: int, solids: DugSolids | None = None) -> tuple[np.ndarray, np.ndarray]:
     cache = open_cache(folder)
-    (found,) = (solids or DugSolids(cache, cache.static())).at(frame)
-    return found.vertices, found.faces
+    (dug_solid,) = (solids or DugSolids(cache, cache.static())).at(frame)
+    return dug_solid.vertices, dug_solid.faces
 
 
 def triangles(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
@@ -188,21 +188,21 @@ def written_out(folder: Path, frame: int) -> np.ndarray:
     """The triangles of a frame that has all that was dug, by the arrays alone."""
     cache = open_cache(folder)
     static, arrays = cache.static(), cache.frame(frame)
-    kept = ~np.isin(static["mesh.hill.bricks"], arrays["mesh.hill.changed"])
-    old = static["mesh.hill.vertices"][static["mesh.hill.faces"][kept]]
+    is_unchanged = ~np.isin(static["mesh.hill.bricks"], arrays["mesh.hill.changed"])
+    old = static["mesh.hill.vertices"][static["mesh.hill.faces"][is_unchanged]]
     corners = np.concatenate([old, arrays["mesh.hill.vertices"][arrays["mesh.hill.faces"]]]).reshape(-1, 9)
     return corners[np.lexsort(corners.T)]
 
 
 @pytest.mark.slow
 def test_a_cache_shows_what_was_dug_and_can_be_continued(scene, shot, tmp_path):
-    whole, parts = tmp_path / "whole", tmp_path / "parts"
-    run("run", scene, "--out", whole)
+    complete, parts = tmp_path / "whole", tmp_path / "parts"
+    run("run", scene, "--out", complete)
     run("run", scene, "--out", parts, "--frames", "1..21")
     run("run", scene, "--out", parts, "--frames", "1..40", "--resume")
-    assert open_cache(whole).hashes() == open_cache(parts).hashes()
+    assert open_cache(complete).hashes() == open_cache(parts).hashes()
     world = bound(shot)
-    cache = open_cache(whole)
+    cache = open_cache(complete)
     in_order = DugSolids(cache, cache.static())
     counts = set()
     for frame in range(1, 41):
@@ -212,15 +212,15 @@ def test_a_cache_shows_what_was_dug_and_can_be_continued(scene, shot, tmp_path):
             faces = np.concatenate([f + s for (_, f), s in zip(pieces, shift, strict=False)])
             true = triangles(np.concatenate([v for v, _ in pieces]), faces)
             if frame == 33:
-                for folder in (whole, parts):
+                for folder in (complete, parts):
                     assert np.array_equal(written_out(folder, frame), true), "for those who do not dig it again"
             counts.add(len(true))
-            for found in (surface(whole, frame), surface(parts, frame), surface(whole, frame, in_order)):
-                assert np.array_equal(triangles(*found), true), frame
+            for dug_mesh in (surface(complete, frame), surface(parts, frame), surface(complete, frame, in_order)):
+                assert np.array_equal(triangles(*dug_mesh), true), frame
         step(world)
     assert len(counts) > 2, "something was dug in between"
     assert in_order.at(40)[0] is in_order.at(40)[0]
-    run("render", whole, "--frames", "40..40", "--width", "160", "--height", "90")
+    run("render", complete, "--frames", "40..40", "--width", "160", "--height", "90")
 
 
 @pytest.mark.parametrize(
@@ -242,8 +242,8 @@ def test_solids_that_cannot_be(tmp_path, line, code, word):
 def test_voxels_too_coarse_for_who_walks_there_are_warned_of(tmp_path, voxel, warned):
     """Those who walk and dig there are 4 mm long."""
     scene = digging_shots.folder(tmp_path, scene=digging_shots.SCENE.replace("voxel: 1 mm", f"voxel: {voxel}"))
-    told = run("check", scene, "--format", "concise")
-    assert ("odd-scale" in told and f"voxels of `hill` are {voxel} wide" in told) is warned
+    output = run("check", scene, "--format", "concise")
+    assert ("odd-scale" in output and f"voxels of `hill` are {voxel} wide" in output) is warned
 
 
 def test_a_surface_has_no_voxels(tmp_path):
@@ -253,7 +253,7 @@ def test_a_surface_has_no_voxels(tmp_path):
 
 
 @pytest.mark.parametrize("dense", [8_000_000, 0])
-def test_cells_are_found_alike_however_many_are_asked_for(dense, monkeypatch):
+def test_cells_are_found_alike_however_many_are_looked_up(dense, monkeypatch):
     """Rows of the nearest and cells near a place, one by one and all at once, in a box that is listed and in one that is not."""
     from antdsl.fields import cells as cell_tables
 
@@ -264,15 +264,15 @@ def test_cells_are_found_alike_however_many_are_asked_for(dense, monkeypatch):
         normal = draw.normal(size=(80, 3))
         cells.grow(draw.uniform(-16, 16, (80, 3)), normal / np.linalg.norm(normal, axis=1)[:, None])
     draw = np.random.default_rng(4)
-    places, normals = draw.uniform(-24, 24, (900, 3)), draw.normal(size=(900, 3))
-    found = cells.lookup(places, normals)
-    assert 0.05 < (found < 0).mean() < 0.9 and cells.used - cells.at_start > 200
-    one_by_one = [cells.lookup(places[n : n + 1], normals[n : n + 1])[0] for n in range(0, 900, 30)]
-    assert np.array_equal(one_by_one, found[::30])
-    voxel = np.floor(places / cells.cell + 0.5).astype(np.int64) - cells._low
+    positions, normals = draw.uniform(-24, 24, (900, 3)), draw.normal(size=(900, 3))
+    cell_rows = cells.lookup(positions, normals)
+    assert 0.05 < (cell_rows < 0).mean() < 0.9 and cells.used - cells.at_start > 200
+    one_by_one = [cells.lookup(positions[n : n + 1], normals[n : n + 1])[0] for n in range(0, 900, 30)]
+    assert np.array_equal(one_by_one, cell_rows[::30])
+    voxel = np.floor(positions / cells.cell + 0.5).astype(np.int64) - cells._low
     assert np.array_equal(
-        SurfaceCells._nearby(cells, places, voxel, facing(normals).astype(np.int64)),
-        cells._nearby(places, voxel, facing(normals).astype(np.int64)),
+        SurfaceCells._nearby(cells, positions, voxel, facing(normals).astype(np.int64)),
+        cells._nearby(positions, voxel, facing(normals).astype(np.int64)),
     )
     for count in (5, 16):
         assert np.array_equal(cells._nearest(np.arange(cells.used), count), cells.nearest(count)[: cells.used])
@@ -284,28 +284,30 @@ def test_feelers_meet_a_ball_where_it_is_and_run_along_it_free():
     assert isinstance(ball, Volume)
     feel = SolidFeelers(ball)
     draw = np.random.default_rng(1)
-    way = draw.normal(size=(200, 3))
-    way /= np.linalg.norm(way, axis=1)[:, None]
-    start = -way * 32.0 + np.cross(way, [0.3, 0.5, 0.8]) * 9.0
-    off = np.linalg.norm(np.cross(way, [0.3, 0.5, 0.8]), axis=1) * 9.0
-    hits = feel.feelers(*start.T, *way.T, 60.0)
+    direction = draw.normal(size=(200, 3))
+    direction /= np.linalg.norm(direction, axis=1)[:, None]
+    start = -direction * 32.0 + np.cross(direction, [0.3, 0.5, 0.8]) * 9.0
+    off = np.linalg.norm(np.cross(direction, [0.3, 0.5, 0.8]), axis=1) * 9.0
+    hits = feel.feelers(*start.T, *direction.T, 60.0)
     assert hits.hit.all()
     assert hits.t == pytest.approx(32.0 - np.sqrt(400 - off**2), abs=0.35)
-    met = start + hits.t[:, None] * way
+    hit_points = start + hits.t[:, None] * direction
     normal = np.stack([hits.nx, hits.ny, hits.nz], axis=1)
-    assert ((normal * met).sum(axis=1) > 0.97 * np.linalg.norm(met, axis=1)).all()
-    assert not feel.feelers(*start.T, *way.T, 11.0).hit.any(), "nothing so near"
-    on = ball.project(way * 20.0, way).points
-    side = np.cross(way, [0.1, 0.9, 0.2])
+    assert ((normal * hit_points).sum(axis=1) > 0.97 * np.linalg.norm(hit_points, axis=1)).all()
+    assert not feel.feelers(*start.T, *direction.T, 11.0).hit.any(), "nothing so near"
+    on = ball.project(direction * 20.0, direction).points
+    side = np.cross(direction, [0.1, 0.9, 0.2])
     side /= np.linalg.norm(side, axis=1)[:, None]
     assert not feel.feelers(*on.T, *side.T, 6.0).hit.any(), "along its surface"
-    assert feel.feelers(*on.T, *-way.T, 6.0).hit.all(), "into it"
+    assert feel.feelers(*on.T, *-direction.T, 6.0).hit.all(), "into it"
     for away, error in ((2.0, 0.1), (30.0, 2.0)):
-        near = feel.near(*(way * (20 + away)).T, np.inf)
+        near = feel.near(*(direction * (20 + away)).T, np.inf)
         assert near.t == pytest.approx(away, abs=error)
-        assert (np.stack([near.nx, near.ny, near.nz], axis=1) * way).sum(axis=1).min() > 0.99
-    assert not feel.near(*(way * 50.0).T, ball.band[1]).hit.any(), "nothing is touched by who reaches just to the band's end"
-    clear = feel.clearance(*(way * 50.0).T)
+        assert (np.stack([near.nx, near.ny, near.nz], axis=1) * direction).sum(axis=1).min() > 0.99
+    assert not feel.near(*(direction * 50.0).T, ball.band[1]).hit.any(), (
+        "nothing is touched by who reaches just to the band's end"
+    )
+    clear = feel.clearance(*(direction * 50.0).T)
     assert (clear <= 30.0 + 1e-3).all() and (clear > 0).all()
 
 
@@ -314,7 +316,7 @@ def test_who_hangs_from_a_ceiling_that_is_dug_away_falls_to_the_floor(shot):
     hill, ground = world.solids["hill"], world.ground
     hill.carve(np.array([[0.0, 7.0, 0.0]]), np.array([4.0]), np.zeros(1, np.int64))
     ceiling = hill.project(np.array([[0.0, 10.5, 0.0]]), np.array([[0.0, -1.0, 0.0]]))
-    assert ceiling.found[0] and ceiling.normals[0, 1] < -0.8
+    assert ceiling.is_in_reach[0] and ceiling.normals[0, 1] < -0.8
     standing = Footing.on_solids(1, ceiling.points)
     hill.carve(np.array([[0.0, 15.0, 0.0]]), np.array([9.0]), np.zeros(1, np.int64))  # now the sky is over it
     still = np.zeros((1, 3))
@@ -327,16 +329,16 @@ def test_one_solid_is_hard_for_who_walks_on_another(shot):
     ball, faces = sphere(3)
     solids = {name: Volume.from_mesh(ball * 10 + [at, 0, 0], faces, 1.0) for name, at in (("one", 0.0), ("two", 12.0))}
     ground = Terrain(None, solids, np.array([0.0, 1.0, 0.0]))
-    place, found = ground.place(np.array([[0.0, 20.0, 0.0]]), np.array([0.0, 1.0, 0.0]))
-    assert found[0] and place.mesh[0] == 0
-    up, way = np.array([[0.0, 1.0, 0.0]]), np.array([[1.0, 0.0, 0.0]])
-    seen = set()
+    place, is_placed = ground.place(np.array([[0.0, 20.0, 0.0]]), np.array([0.0, 1.0, 0.0]))
+    assert is_placed[0] and place.mesh[0] == 0
+    up, direction = np.array([[0.0, 1.0, 0.0]]), np.array([[1.0, 0.0, 0.0]])
+    visited = set()
     for _ in range(40):
-        moved = ground.move(place, way * 1.1, way, up, 4.0)
-        place, way, up = moved.footing, moved.direction, moved.up
-        seen.add(int(place.mesh[0]))
+        moved = ground.move(place, direction * 1.1, direction, up, 4.0)
+        place, direction, up = moved.footing, moved.direction, moved.up
+        visited.add(int(place.mesh[0]))
         assert min(volume.sample(moved.position)[0] for volume in solids.values()) > -0.06
-    assert seen == {0, 1} and moved.position[0, 0] > 12, "over the notch between them and on"
+    assert visited == {0, 1} and moved.position[0, 0] > 12, "over the notch between them and on"
 
 
 def test_a_cut_shows_the_inside(scene, shot):

@@ -21,7 +21,7 @@ from antdsl.runtime import Built, Options, Setting, World, bind, state_hash, ste
 from antdsl.runtime.backends import BACKENDS
 
 # How each backend is run: with parts larger and smaller than the crowd, and more threads than it has agents.
-WAYS = {
+OPTIONS_BY_BACKEND = {
     "numpy": (Options("numpy"), Options("numpy", chunk=2, threads=5, shuffle_rows=3)),
     "native": (Options("native", wait_for_code=True), Options("native", chunk=8, threads=5, shuffle_rows=1, wait_for_code=True)),
     "reference": (Options("reference", shuffle_rows=2),),
@@ -46,21 +46,23 @@ def held_against_each_other(case: str, kind: str, seed: int, size: Size, backend
     setting, built = empty_crowds.setting(who, life, kind, seed), Built()
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        found = {way: run(setting, way, built, size)[0] for backend in backends for way in WAYS[backend]}
-    first, *others = found.values()
+        hashes = {
+            options: run(setting, options, built, size)[0] for backend in backends for options in OPTIONS_BY_BACKEND[backend]
+        }
+    first, *others = hashes.values()
     assert all(each == first for each in others), {
-        way: [a == b for a, b in zip(first, each, strict=True)] for way, each in found.items()
+        options: [a == b for a, b in zip(first, each, strict=True)] for options, each in hashes.items()
     }
 
 
 def test_the_program_has_every_sense_set_reduction_and_effect() -> None:
-    assert set(WAYS) == set(BACKENDS)
+    assert set(OPTIONS_BY_BACKEND) == set(BACKENDS)
     assert empty_crowds.words() <= {word for word, _ in empty_crowds.samples()}
     assert set(empty_crowds.REDUCTIONS) == set(OF_NONE) == set(REDUCERS)
     assert {each.partition("(")[0] for each in empty_crowds.sets()} == GIVES_SET
     plan = empty_crowds.plan()
-    asked = [each for species in plan.species.values() for _, block in blocks(species) for _, each in statements(block)]
-    assert {each.op for each in asked if isinstance(each, ir.Request)} == set(EFFECTS)
+    all_statements = [each for species in plan.species.values() for _, block in blocks(species) for _, each in statements(block)]
+    assert {each.op for each in all_statements if isinstance(each, ir.Request)} == set(EFFECTS)
     assert {node.op for node in plan.nodes} >= {op for op in ir.OPS if op.startswith(("set.", "reduce."))} - {"reduce.nth_item"}
 
 
@@ -90,11 +92,11 @@ def test_backends_agree_in_every_world(case: str, contacts: str, kind: str) -> N
 @pytest.mark.parametrize("size", sampled(["sets", "pairs"], ["sets"]))
 @pytest.mark.parametrize("backend", BACKENDS)
 def test_of_none_there_is_what_the_language_says(backend: str, size: Size) -> None:
-    _, world = run(empty_crowds.setting("rabbit", NEVER), WAYS[backend][0], Built(), size)
+    _, world = run(empty_crowds.setting("rabbit", NEVER), OPTIONS_BY_BACKEND[backend][0], Built(), size)
     now = world.populations["asker"].now
     assert len(world.populations["asker"]) == 3 and len(world.populations["rabbit"]) == 0
-    for number, (how, asked, _) in enumerate(empty_crowds.reduced(size == "pairs")):
-        if "rabbit" in asked:
-            assert (now[f"r{number}"] == OF_NONE[how]).all(), (how, asked)
+    for number, (how, set_text, _) in enumerate(empty_crowds.reduced(size == "pairs")):
+        if "rabbit" in set_text:
+            assert (now[f"r{number}"] == OF_NONE[how]).all(), (how, set_text)
     assert (now["pal"] == -1).all() and (now["met_last"] == -1).all()
     assert all(np.isfinite(each).all() for each in now.values() if each.dtype.kind == "f" and each is not now["max_turn"])

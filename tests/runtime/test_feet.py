@@ -28,7 +28,7 @@ def hill(tmp_path_factory: pytest.TempPathFactory) -> Shot:
     return stick_bodies.opened(stick_bodies.write_scene(tmp_path_factory.mktemp("hill"), 6, "hill", count=24))
 
 
-def begun(shot: Shot, options: Options = NUMPY) -> World:
+def bind_shot(shot: Shot, options: Options = NUMPY) -> World:
     return bind(shot.plan, shot.setting, options)
 
 
@@ -38,8 +38,8 @@ def feet_of(world: World) -> Feet:
 
 def off_ground(world: World, feet: Feet) -> NDArray[np.float64]:
     """How far (mm) feet that stand are from the nearest surface or solid of all."""
-    places = np.ascontiguousarray(feet.shown[:, feet.down].T)
-    return world.ground.nearest(places)[1]
+    positions = np.ascontiguousarray(feet.shown[:, feet.down].T)
+    return world.ground.nearest(positions)[1]
 
 
 def far_from_hips(world: World, feet: Feet) -> float:
@@ -62,23 +62,27 @@ def far_from_hips(world: World, feet: Feet) -> float:
 def test_planted_feet_stay_where_they_are_on_the_ground(tmp_path: Path, ground: str, legs: int, speed: float) -> None:
     """The must-show of the feature: planted feet move less than a thousandth of a leg, and are as near to the surface."""
     shot = stick_bodies.opened(stick_bodies.write_scene(tmp_path, legs, ground, speed=speed, count=16))
-    world = begun(shot)
+    world = bind_shot(shot)
     leg = float(world.walkers["walker"].legs.length.min()) * stick_bodies.SIZE
-    slid, off, stood, hung, lifted, cycles = 0.0, 0.0, 0, 0, 0, 0.0
+    slid, off, standing_count, hung, lifted, cycles = 0.0, 0.0, 0, 0, 0, 0.0
     for _ in range(48):
-        before = deepcopy(feet_of(world))
+        previous_feet = deepcopy(feet_of(world))
         step(world)
         feet = feet_of(world)
-        both = before.down & feet.down
-        slid = max(slid, float(np.sqrt(vec.dot(feet.shown - before.shown, feet.shown - before.shown))[both].max(initial=0)))
+        both = previous_feet.down & feet.down
+        slid = max(
+            slid, float(np.sqrt(vec.dot(feet.shown - previous_feet.shown, feet.shown - previous_feet.shown))[both].max(initial=0))
+        )
         off = max(off, float(off_ground(world, feet).max()))
         hung += int(((feet.on == NOTHING) & (feet.swing >= 1)).sum())
-        stood, lifted = stood + int(feet.down.sum()), lifted + int((before.down & ~feet.down).sum())
+        standing_count, lifted = standing_count + int(feet.down.sum()), lifted + int((previous_feet.down & ~feet.down).sum())
         assert far_from_hips(world, feet) <= 1.001
-        turned = ((feet.phase - before.phase) % 1.0)[~before.down.all(axis=1)]  # who sets out goes on to the next foot at once
+        turned = ((feet.phase - previous_feet.phase) % 1.0)[
+            ~previous_feet.down.all(axis=1)
+        ]  # who sets out goes on to the next foot at once
         cycles = max(cycles, float(turned.max(initial=0)))
     assert slid < 1e-3 * leg and off < 1e-3 * leg
-    assert hung < 0.02 * stood and lifted > 60
+    assert hung < 0.02 * standing_count and lifted > 60
     assert cycles <= MOST_CYCLES + 1e-3
 
 
@@ -87,12 +91,12 @@ def test_standing_bodies_put_their_feet_back_and_then_keep_still(tmp_path: Path)
     (tmp_path / "walker.ant").write_text(
         (tmp_path / "walker.ant").read_text().replace("after 1.2 s", "after 1000 s").replace("chance 40 %/s", "after 1 s")
     )
-    world = begun(stick_bodies.opened(path))
+    world = bind_shot(stick_bodies.opened(path))
     lifted = []
     for _ in range(24 * 4):
-        before = feet_of(world).down.copy()
+        was_down = feet_of(world).down.copy()
         step(world)
-        lifted.append(before & ~feet_of(world).down)
+        lifted.append(was_down & ~feet_of(world).down)
     feet, population = feet_of(world), world.populations["walker"]
     x, _, z = BodyFrames.of(population).to_bodies(feet.place)
     rest = resting(world.walkers["walker"].legs)
@@ -107,23 +111,23 @@ def test_feet_are_the_same_for_any_rows_chunks_threads_and_backends_and_change_n
         NUMPY, Options(backend="numpy", feet=True, shuffle_rows=5), Options(backend="numpy", feet=True, chunk=7, threads=2),
         Options(backend="reference", feet=True),
     ]  # fmt: skip
-    seen = set()
+    hashes = set()
     for option in options:
-        world = begun(hill, option)
+        world = bind_shot(hill, option)
         for _ in range(6):
             step(world)
-        seen.add((state_hash(world), feet_hash(world.feet)))
-    assert len(seen) == 1
-    without = begun(hill, Options(backend="numpy"))
+        hashes.add((state_hash(world), feet_hash(world.feet)))
+    assert len(hashes) == 1
+    without = bind_shot(hill, Options(backend="numpy"))
     for _ in range(6):
         step(without)
-    assert not without.feet and feet_hash(without.feet) == "" and state_hash(without) == next(iter(seen))[0]
+    assert not without.feet and feet_hash(without.feet) == "" and state_hash(without) == next(iter(hashes))[0]
 
 
 @pytest.mark.slow
 def test_feet_are_the_same_by_machine_code(hill: Shot) -> None:
     need_llvmlite()
-    worlds = [begun(hill), begun(hill, Options(backend="native", feet=True, wait_for_code=True))]
+    worlds = [bind_shot(hill), bind_shot(hill, Options(backend="native", feet=True, wait_for_code=True))]
     for _ in range(6):
         for world in worlds:
             step(world)
@@ -134,47 +138,47 @@ def test_one_bodys_feet_go_as_they_do_among_others(tmp_path: Path) -> None:
     """An agent's feet do not depend on who else there is."""
     shot = stick_bodies.opened(stick_bodies.write_scene(tmp_path, 6, "hill", count=12))
     many, few = (
-        begun(shot),
-        begun(replace(shot, setting=replace(shot.setting, crowds=(replace(shot.setting.crowds[0], count=3),)))),
+        bind_shot(shot),
+        bind_shot(replace(shot, setting=replace(shot.setting, crowds=(replace(shot.setting.crowds[0], count=3),)))),
     )
     for _ in range(20):
         step(many)
         step(few)
     for name, array in feet_of(few).arrays().items():
-        whole = feet_of(many).arrays()[name]
+        all_values = feet_of(many).arrays()[name]
         axis = array.shape.index(3) if name not in ("place", "shown", "start", "position", "heading", "up") else 1
-        assert np.array_equal(array, np.take(whole, range(3), axis=axis)), name
+        assert np.array_equal(array, np.take(all_values, range(3), axis=axis)), name
 
 
 def test_a_checkpoint_goes_on_with_the_same_bits(hill: Shot) -> None:
-    world = begun(hill)
+    world = bind_shot(hill)
     for _ in range(9):
         step(world)
-    kept = checkpoint(world)
-    again = begun(hill)
-    restore(again, kept)
+    saved = checkpoint(world)
+    again = bind_shot(hill)
+    restore(again, saved)
     assert feet_hash(again.feet) == feet_hash(world.feet)
     for _ in range(9):
         step(world)
         step(again)
     assert feet_hash(again.feet) == feet_hash(world.feet)
-    other = begun(hill, Options(backend="numpy"))
-    restore(other, kept)  # of a run with feet, where nobody asks for them
-    none = {name: array for name, array in kept.items() if not name.startswith("feet.")}
+    other = bind_shot(hill, Options(backend="numpy"))
+    restore(other, saved)  # of a run with feet, where nobody asks for them
+    none = {name: array for name, array in saved.items() if not name.startswith("feet.")}
     restore(again, none)  # and the other way round: all stand anew
     assert feet_of(again).down.mean() > 0.9 and state_hash(again) == state_hash(other)
 
 
-def test_a_reload_keeps_feet_and_new_legs_begin_anew(hill: Shot) -> None:
-    world = begun(hill)
+def test_a_reload_keeps_feet_and_new_legs_start_again(hill: Shot) -> None:
+    world = bind_shot(hill)
     for _ in range(9):
         step(world)
     other, _ = take_over(world, hill.plan, hill.setting)
     assert feet_hash(other.feet) == feet_hash(world.feet)
     legs = hill.setting.legs["walker"]
     longer = replace(hill.setting, legs={"walker": replace(legs, length=legs.length * 1.1)})
-    anew, _ = take_over(world, hill.plan, longer)
-    assert feet_of(anew).down.mean() > 0.9 and feet_hash(anew.feet) != feet_hash(world.feet)
+    restarted, _ = take_over(world, hill.plan, longer)
+    assert feet_of(restarted).down.mean() > 0.9 and feet_hash(restarted.feet) != feet_hash(world.feet)
 
 
 BIRTHS = """ant 1
@@ -202,7 +206,7 @@ species walker {
 
 def test_the_newborn_stand_and_the_dead_have_no_feet(tmp_path: Path) -> None:
     path = stick_bodies.write_scene(tmp_path, 6, "flat", count=20, program=BIRTHS)
-    world = begun(stick_bodies.opened(path))
+    world = bind_shot(stick_bodies.opened(path))
     changed = 0
     for _ in range(20):
         known = set(feet_of(world).ids.tolist())
@@ -226,7 +230,7 @@ def test_feet_go_along_with_ground_that_moves_and_stand_still_on_it(tmp_path: Pa
     keys = "keys: {60: {at: [0, 0, 0], rotate: [0, 0, 0]}, 84: {at: [30, 12, 5], rotate: [0, 40, 25]}}"
     moved = path.read_text().replace("mesh: ground.ply", f"mesh: ground.ply, {keys}")
     path.write_text(moved.replace("place: {on: ground}", "place: {on: ground, around: [0, 0, 0], radius: 40 mm}"))
-    world = begun(stick_bodies.opened(path))
+    world = bind_shot(stick_bodies.opened(path))
     for _ in range(58):  # until all have come to a stand
         step(world)
     first = deepcopy(feet_of(world))
@@ -240,14 +244,14 @@ def test_feet_go_along_with_ground_that_moves_and_stand_still_on_it(tmp_path: Pa
     assert np.abs(x - resting(world.walkers["walker"].legs)[0]).max() < 0.1 and np.abs(y).max() < 1e-3
 
 
-def test_a_foot_whose_ground_is_dug_away_lifts_and_seeks_again(tmp_path: Path) -> None:
+def test_a_foot_whose_ground_is_removed_lifts_and_seeks_again(tmp_path: Path) -> None:
     block = stick_bodies.block((-30, -12, -30), (30, 0, 30))
     program = stick_bodies.PROGRAM.format(size=6, speed=0.001, leave="", more="").replace("surface ground", "solid ground")
     path = stick_bodies.write_scene(
         tmp_path, 6, block, count=3, program=program.replace("steer wander(swing: 40 deg)", "steer halt()")
     )
     path.write_text(path.read_text().replace("mesh: ground.ply", "mesh: ground.ply, voxel: 0.5 mm"))
-    world = begun(stick_bodies.opened(path))
+    world = bind_shot(stick_bodies.opened(path))
     step(world)
     feet = feet_of(world)
     assert feet.down.all()
@@ -267,17 +271,19 @@ def test_a_foot_whose_ground_is_dug_away_lifts_and_seeks_again(tmp_path: Path) -
 def test_feet_stand_on_obstacles_and_on_the_side_of_a_sheet_that_they_walk_on(tmp_path: Path) -> None:
     """A slab that is an obstacle lies on the floor: feet stand on it. Of a sheet, legs never pass to its other side."""
     slab = stick_bodies.block((-60, -1, -60), (60, 0.4, 60))
-    path = stick_bodies.write_scene(tmp_path, 6, "flat", count=10, more="; obstacle slab", things=["slab: {mesh: slab.ply}"])
+    path = stick_bodies.write_scene(
+        tmp_path, 6, "flat", count=10, world_lines="; obstacle slab", things=["slab: {mesh: slab.ply}"]
+    )
     stick_bodies.save(slab, tmp_path / "slab.ply")
     scene = path.read_text().replace("place: {on: ground}", "place: {on: ground, around: [0, 0, 0], radius: 25 mm}")
     path.write_text(scene)
-    world = begun(stick_bodies.opened(path))
+    world = bind_shot(stick_bodies.opened(path))
     for _ in range(10):
         step(world)
     feet = feet_of(world)
     assert feet.down.sum() > 20 and np.allclose(feet.shown[1][feet.down], 0.4, atol=1e-6)
     tin = stick_bodies.write_scene(tmp_path / "tin", 6, "can", count=30)
-    world = begun(stick_bodies.opened(tin))
+    world = bind_shot(stick_bodies.opened(tin))
     for _ in range(40):
         step(world)
     feet, population = feet_of(world), world.populations["walker"]
@@ -311,11 +317,11 @@ def test_feet_are_on_the_floor_that_is_seen_where_the_body_walks_a_coarser_one(
     stick_bodies.save(floor, tmp_path / "floor.ply")
     text = path.read_text().replace("mesh: ground.ply", f"mesh: ground.ply{look}")
     path.write_text(text.replace("place: {on: ground}", "place: {on: ground, around: [0, 0, 0], radius: 20 mm}"))
-    world = begun(stick_bodies.opened(path))
+    world = bind_shot(stick_bodies.opened(path))
     for _ in range(12):
         step(world)
         feet = feet_of(world)
-        seen = world.obstacles["floor"].closest(np.ascontiguousarray(feet.shown[:, feet.down].T))[3]  # type: ignore[attr-defined]
-        assert seen.max() < 1e-6 and feet.down.sum() > 12
+        floor_distances = world.obstacles["floor"].closest(np.ascontiguousarray(feet.shown[:, feet.down].T))[3]  # type: ignore[attr-defined]
+        assert floor_distances.max() < 1e-6 and feet.down.sum() > 12
     assert (world.populations["walker"].footing.mesh == 0).all()
     assert high - 0.31 < feet.shown[1][feet.down].min() < high < feet.shown[1][feet.down].max() < high + 0.31

@@ -20,8 +20,8 @@ class Plainly:
         self.field, self.values, self.pending = field, np.zeros(len(field.cells)), np.zeros(len(field.cells))
 
     def deposit(self, cells: np.ndarray, amounts: np.ndarray) -> None:
-        whole = np.rint(np.minimum(amounts.astype(np.float64), LARGEST_DEPOSIT) / UNIT) * UNIT
-        (np.add if self.field.combine == "add" else np.maximum).at(self.pending, cells, whole)
+        rounded_amounts = np.rint(np.minimum(amounts.astype(np.float64), LARGEST_DEPOSIT) / UNIT) * UNIT
+        (np.add if self.field.combine == "add" else np.maximum).at(self.pending, cells, rounded_amounts)
 
     def land(self) -> None:
         landed = self.values + self.pending if self.field.combine == "add" else np.maximum(self.values, self.pending)
@@ -80,7 +80,7 @@ def test_a_field_that_is_full_everywhere_spreads_as_arrays_do(first):
 @pytest.mark.parametrize("kind, dense", [*product((SurfaceCells, GrowingCells), (8_000_000, 0))])
 def test_cells_of_agents_are_those_of_their_voxel_and_side(monkeypatch, kind, dense):
     monkeypatch.setattr(cell_tables, "_DENSE", dense)
-    cells, rng, known, room = kind([SLOPE], 2.0), np.random.default_rng(1), None, None
+    cells, rng, known, buffer = kind([SLOPE], 2.0), np.random.default_rng(1), None, None
     points = rng.random((3, 1500)).T * [60, 60, 12]
     points[:, 2] = points[:, 0] * points[:, 1] / 300
     numbers = {int(key): n for n, key in enumerate(cells._keys)}
@@ -88,7 +88,7 @@ def test_cells_of_agents_are_those_of_their_voxel_and_side(monkeypatch, kind, de
         points = np.asarray(points + rng.normal(0, 0.4, points.shape), order="FC"[number % 2])
         points[3], points[4] = np.nan, 1e9
         side = np.where(rng.random(1500) < 0.1, rng.integers(0, 6, 1500), 4).astype(np.int8)
-        room, known = cells.follow(points, side, known, room)
+        buffer, known = cells.follow(points, side, known, buffer)
         with np.errstate(invalid="ignore"):
             voxel = np.floor(points / cells.cell + 0.5) - cells._low
         for n in range(1500):
@@ -96,6 +96,6 @@ def test_cells_of_agents_are_those_of_their_voxel_and_side(monkeypatch, kind, de
             if ((voxel[n] >= 0) & (voxel[n] < cells._size)).all():
                 x, y, z = voxel[n].astype(int)
                 own = numbers.get(int(((x * cells._size[1] + y) * cells._size[2] + z) * 6 + side[n]), -1)
-            assert own < 0 or room[n] == own  # who has none gets one near by
-        assert np.array_equal(room, cells.follow(points, side, None)[0])
-    assert 0.5 < (room >= 0).mean() < 1
+            assert own < 0 or buffer[n] == own  # who has none gets one near by
+        assert np.array_equal(buffer, cells.follow(points, side, None)[0])
+    assert 0.5 < (buffer >= 0).mean() < 1

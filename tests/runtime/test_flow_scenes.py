@@ -89,33 +89,38 @@ def drift(folder: Path, text: str) -> object:
 
 def test_every_form_of_a_flow(folder: Path) -> None:
     flow = drift(folder, "{tangent: way, radius: 4 cm, falloff: linear, strength: -0.5, cell: 3 mm, on: ground, gather: 2}")
-    assert isinstance(flow, SpreadFlow) and flow.way == "tangent" and flow.target.line and flow.target.places.shape == (2, 3)
+    assert (
+        isinstance(flow, SpreadFlow)
+        and flow.direction == "tangent"
+        and flow.target.line
+        and flow.target.positions.shape == (2, 3)
+    )
     assert (flow.radius, flow.falloff, flow.strength, flow.cell, flow.on) == (40, "linear", -0.5, 3, ("ground",))
     assert flow.gather == 2
     flow = drift(folder, "{tangent: way.json}")
     assert isinstance(flow, SpreadFlow) and flow.radius is None and flow.target.line
     flow = drift(folder, "{toward: home, radius: 30}")
-    assert isinstance(flow, SpreadFlow) and flow.way == "toward" and flow.target.places[0, [0, 2]].tolist() == [10, 10]
+    assert isinstance(flow, SpreadFlow) and flow.direction == "toward" and flow.target.positions[0, [0, 2]].tolist() == [10, 10]
     assert flow.target.radii.tolist() == [5]
     flow = drift(folder, "{away: [1 cm, 0, -5]}")
-    assert isinstance(flow, SpreadFlow) and flow.target.places.tolist() == [[10, 0, -5]] and not flow.target.line
+    assert isinstance(flow, SpreadFlow) and flow.target.positions.tolist() == [[10, 0, -5]] and not flow.target.line
     flow = drift(folder, "{border: ground, within: 20 mm}")
     assert isinstance(flow, BorderFlow) and flow.on == ("ground",) and flow.within == 20 and flow.falloff == "linear"
     flow = drift(folder, "{solved: nest, slope: 2, room: 5 mm, maps: {damp: 4}, crowding: 1.5, every: 2 step, cell: 30 mm}")
     assert isinstance(flow, SolvedFlow) and flow.maps == {"damp": 4} and flow.every == pytest.approx(2 / 24)
-    assert (flow.slope, flow.room, flow.crowding) == (2, 5, 1.5)
+    assert (flow.slope, flow.clearance, flow.crowding) == (2, 5, 1.5)
     flow = drift(folder, "{painted: damp.npz, attribute: comb, strength: 0.25}")
     assert isinstance(flow, Painted) and flow.surface == "ground" and np.allclose(flow.values, 0.25)
 
 
 def test_the_file_of_a_flow_is_an_input_of_the_cache(folder: Path) -> None:
-    before, _ = opened(folder)
+    original, _ = opened(folder)
     np.savez(folder / "damp.npz", damp=np.zeros(POINTS))
-    after, _ = opened(folder)
-    assert before is not None and after is not None
-    assert before.inputs["damp.npz"] != after.inputs["damp.npz"]
+    edited, _ = opened(folder)
+    assert original is not None and edited is not None
+    assert original.inputs["damp.npz"] != edited.inputs["damp.npz"]
     changed, _ = opened(folder, SCENE.replace("40 mm", "41 mm"))
-    assert changed is not None and changed.inputs["scene"] != after.inputs["scene"]
+    assert changed is not None and changed.inputs["scene"] != edited.inputs["scene"]
 
 
 @pytest.mark.parametrize("text", [False, True])
@@ -180,15 +185,15 @@ def test_attributes_of_ply_files_turn_with_their_mesh(folder: Path, text: bool) 
         ("place: {on: ground}", "place: {density: damp, radius: 5 mm}", "wrong-value", "by `density` or by `radius`, not both"),
     ],
 )  # fmt: skip
-def test_what_does_not_fit_is_told_at_its_place(folder: Path, old: str, new: str, code: str, words: str) -> None:
+def test_what_does_not_fit_is_reported_at_its_place(folder: Path, old: str, new: str, code: str, words: str) -> None:
     assert old in SCENE
     _, report = opened(folder, SCENE.replace(old, new))
     assert [d.code for d in report.errors] == [code], report.errors
-    found = report.errors[0]
-    assert words in f"{found.message} | {found.help}", found
-    assert found.span is not None
-    line, _ = found.span.source.line_column(found.span.start)
-    assert new.splitlines()[-1] in found.span.source.line_text(line), found.span.source.line_text(line)
+    error = report.errors[0]
+    assert words in f"{error.message} | {error.help}", error
+    assert error.span is not None
+    line, _ = error.span.source.line_column(error.span.start)
+    assert new.splitlines()[-1] in error.span.source.line_text(line), error.span.source.line_text(line)
 
 
 def test_paint_that_is_no_paint(folder: Path) -> None:
@@ -222,7 +227,7 @@ def test_a_program_without_a_surface_has_nowhere_to_paint(folder: Path) -> None:
     assert [d.code for d in opened(folder, scene.replace("DRIFT", "{solved: [0, 0, 0]}"))[1].errors] == ["missing-thing"]
 
 
-def test_too_many_points_are_told_before_anything_is_allocated(folder: Path) -> None:
+def test_too_many_points_are_reported_before_anything_is_allocated(folder: Path) -> None:
     from antdsl.runtime import BindError, bind
 
     shot, report = opened(folder, SCENE.replace("radius: 40 mm", "cell: 0.001 mm"))
@@ -236,17 +241,17 @@ def test_a_run_that_is_continued_between_two_looks_at_the_crowd_goes_on_the_same
     text = SCENE.replace(DRIFT, "{solved: nest, crowding: 3, every: 4 step, cell: 30 mm}").replace("1..3", "1..11")
     shot, report = opened(folder, text)
     assert shot is not None, report.errors
-    whole = {world.frame: state_hash(world) for world in simulate(shot)}
+    complete_hashes = {world.frame: state_hash(world) for world in simulate(shot)}
     recording = begin(shot, folder / "out", Options(), resume=False, force=False)
     for state in record(recording):
         state.stop = state.frame == 7  # the crowd was looked at two frames ago
     going_on = begin(shot, folder / "out", Options(), resume=True, force=False)
     assert going_on.resumed_from == 7
     assert [state.frame for state in record(going_on)] == [8, 9, 10, 11]
-    assert open_cache(folder / "out").hashes() == whole
+    assert open_cache(folder / "out").hashes() == complete_hashes
 
 
-def test_arrows_of_a_flow_are_kept_in_the_cache_and_drawn(folder: Path) -> None:
+def test_arrows_of_a_flow_are_stored_in_the_cache_and_drawn(folder: Path) -> None:
     shot, report = opened(folder, SCENE.replace(DRIFT, "{toward: [0, 0, 0]}"))
     assert shot is not None, report.errors
     for _ in record(begin(shot, folder / "out", Options(), resume=False, force=False)):
@@ -254,8 +259,8 @@ def test_arrows_of_a_flow_are_kept_in_the_cache_and_drawn(folder: Path) -> None:
     gallery = Gallery(open_cache(folder / "out"))
     (flow,) = gallery.flows
     far = np.linalg.norm(flow.position, axis=1) > 10
-    place, way = flow.position[far][:, [0, 2]], flow.way[far][:, [0, 2]]
-    cosine = -(place * way).sum(axis=1) / np.linalg.norm(place, axis=1) / np.linalg.norm(way, axis=1)
+    place, direction = flow.position[far][:, [0, 2]], flow.displacement[far][:, [0, 2]]
+    cosine = -(place * direction).sum(axis=1) / np.linalg.norm(place, axis=1) / np.linalg.norm(direction, axis=1)
     assert flow.name == "drift" and far.sum() > 40 and cosine.min() > 0.9
     picture, above = gallery.picture(1), Camera((0, 300, 1), (0, 0, 0))
     plain, drawn = (render_frame(picture, above, 160, 90, show=show).astype(int) for show in ((), ("flow",)))

@@ -16,17 +16,17 @@ BOUNDS = dict(turn_p99=17.0, circling=0.01, standing=0.005, overlap_p99=0.6, str
 CROWDED = dict(turn_p99=17.0, circling=0.01, standing=0.02, overlap_p99=0.8, straightness=0.7)
 
 
-def nothing_lost(seen: Watched) -> None:
-    start = sum(seen.crumbs[0])
-    assert all(sum(frame) == start for frame in seen.crumbs)
-    assert (np.diff(seen.delivered) >= 0).all()
-    assert (np.diff([left for left, _, _ in seen.crumbs]) <= 0).all()
+def nothing_lost(measures: Watched) -> None:
+    start = sum(measures.crumbs[0])
+    assert all(sum(frame) == start for frame in measures.crumbs)
+    assert (np.diff(measures.delivered) >= 0).all()
+    assert (np.diff([left for left, _, _ in measures.crumbs]) <= 0).all()
 
 
-def stays_on_the_ground(seen: Watched) -> None:
-    assert seen.surface_error < 1e-3
-    assert seen.in_stones < 0.5
-    assert seen.world.faults.count == 0
+def stays_on_the_ground(measures: Watched) -> None:
+    assert measures.surface_error < 1e-3
+    assert measures.in_stones < 0.5
+    assert measures.world.faults.count == 0
 
 
 @pytest.fixture(scope="module")
@@ -39,7 +39,7 @@ def test_crumbs_are_neither_lost_nor_made(short: Watched) -> None:
     assert short.delivered[-1] > 5
 
 
-def test_everybody_stays_on_the_ground_and_out_of_the_stones(short: Watched) -> None:
+def test_all_agents_stay_on_the_ground_and_out_of_the_stones(short: Watched) -> None:
     stays_on_the_ground(short)
 
 
@@ -54,10 +54,10 @@ def test_scent_is_concentrated_where_food_was_found(short: Watched) -> None:
 
 
 def test_many_ants_for_a_moment() -> None:
-    seen = watch(world(count=1500, scene=EXAMPLE / "many.yaml"), 100, every=50)
-    nothing_lost(seen)
-    stays_on_the_ground(seen)
-    motion(seen.world, **CROWDED)
+    measures = watch(world(count=1500, scene=EXAMPLE / "many.yaml"), 100, every=50)
+    nothing_lost(measures)
+    stays_on_the_ground(measures)
+    motion(measures.world, **CROWDED)
 
 
 def shifted(first: NDArray[np.int64], later: NDArray[np.int64]) -> float:
@@ -66,12 +66,12 @@ def shifted(first: NDArray[np.int64], later: NDArray[np.int64]) -> float:
 
 
 def counts_at(crowd: World, *frames: int) -> list[NDArray[np.int64]]:
-    found = []
-    while len(found) < len(frames):
-        if crowd.frame - crowd.setting.first_frame == frames[len(found)]:
-            found.append(counts(crowd))
+    count_arrays = []
+    while len(count_arrays) < len(frames):
+        if crowd.frame - crowd.setting.first_frame == frames[len(count_arrays)]:
+            count_arrays.append(counts(crowd))
         step(crowd)
-    return found
+    return count_arrays
 
 
 @pytest.mark.slow
@@ -85,30 +85,34 @@ def test_a_crowd_comes_to_rest_in_its_shares() -> None:
 
 @pytest.mark.slow
 def test_five_hundred_ants_for_the_whole_shot() -> None:
-    seen, without = watch(world(), 959), watch(world(reward=0.0), 959)
-    nothing_lost(seen)
-    stays_on_the_ground(seen)
-    motion(seen.world, **BOUNDS)
-    quarters = seen.delivered[240::240]
+    measures, without = watch(world(), 959), watch(world(reward=0.0), 959)
+    nothing_lost(measures)
+    stays_on_the_ground(measures)
+    motion(measures.world, **BOUNDS)
+    quarters = measures.delivered[240::240]
     assert all(later > earlier + 10 for earlier, later in pairwise(quarters))
-    ratio = np.array(seen.concentration) / np.array(without.concentration)
+    ratio = np.array(measures.concentration) / np.array(without.concentration)
     print(
-        "concentration, with and without reward:", seen.concentration[-1], without.concentration[-1], "least ratio", ratio.min()
+        "concentration, with and without reward:",
+        measures.concentration[-1],
+        without.concentration[-1],
+        "least ratio",
+        ratio.min(),
     )
     assert (ratio[10:] >= 3).all()
 
 
 @pytest.mark.slow
 def test_fifteen_thousand_ants_for_the_whole_shot() -> None:
-    seen = watch(world(scene=EXAMPLE / "many.yaml"), 479)
+    measures = watch(world(scene=EXAMPLE / "many.yaml"), 479)
     without = watch(world(scene=EXAMPLE / "many.yaml", reward=0.0), 479, every=479)
-    nothing_lost(seen)
-    stays_on_the_ground(seen)
-    motion(seen.world, **CROWDED)
-    print("motion", seen.world.motion.summary(), "delivered", seen.delivered[::120])
-    print("concentration", seen.concentration[-1], without.concentration[-1])
-    assert seen.delivered[-1] > seen.delivered[360] > seen.delivered[240] > 0
-    assert seen.concentration[-1] >= 3 * without.concentration[-1]
+    nothing_lost(measures)
+    stays_on_the_ground(measures)
+    motion(measures.world, **CROWDED)
+    print("motion", measures.world.motion.summary(), "delivered", measures.delivered[::120])
+    print("concentration", measures.concentration[-1], without.concentration[-1])
+    assert measures.delivered[-1] > measures.delivered[360] > measures.delivered[240] > 0
+    assert measures.concentration[-1] >= 3 * without.concentration[-1]
 
 
 @pytest.mark.slow

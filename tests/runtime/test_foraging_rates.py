@@ -25,13 +25,13 @@ def taken(fps: int, substeps: int) -> float:
 
 @pytest.mark.slow
 def test_a_crowd_takes_as_much_at_any_rate() -> None:
-    found = [taken(fps, substeps) for fps, substeps in ((24, 1), (48, 1), (24, 2))]
-    assert min(found) > 50
-    assert max(found) < 1.2 * min(found)
+    amounts = [taken(fps, substeps) for fps, substeps in ((24, 1), (48, 1), (24, 2))]
+    assert min(amounts) > 50
+    assert max(amounts) < 1.2 * min(amounts)
 
 
 @pytest.mark.slow
 def test_the_near_source_is_empty_as_soon_at_any_rate() -> None:
-    found = frame_rates.table(range(1, frame_rates.SEEDS + 1), jobs=2)
-    print(found)
-    assert frame_rates.spread(found) <= 0.15
+    times = frame_rates.table(range(1, frame_rates.SEEDS + 1), jobs=2)
+    print(times)
+    assert frame_rates.spread(times) <= 0.15

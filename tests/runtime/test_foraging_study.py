@@ -52,12 +52,12 @@ def test_a_run_differs_from_the_default_in_what_the_thesis_names_only(shots: dic
 
 
 def test_ninety_percent_are_left_after_two_seconds_and_all_of_it_without_decay(shots: dict[str, Shot]) -> None:
-    kept = {}
+    remaining_shares = {}
     for name in ("default", "no_decay"):
         world = bind(shots[name].plan, shots[name].setting)
         factor, _ = world.field_rates["trail"]
-        kept[name] = float(factor) ** 48
-    assert kept["default"] == pytest.approx(0.9, abs=0.002) and kept["no_decay"] == 1
+        remaining_shares[name] = float(factor) ** 48
+    assert remaining_shares["default"] == pytest.approx(0.9, abs=0.002) and remaining_shares["no_decay"] == 1
 
 
 def test_food_is_found_carried_and_marked_and_no_crumb_is_lost(shots: dict[str, Shot]) -> None:
@@ -84,7 +84,7 @@ def test_the_scent_may_fall_off_from_the_nearest_source_whichever_the_crumb_came
         assert (far[0] < far[1]).all()
         step(world)
         laid[name] = float(world.fields["trail"].values.max()), 25 / 24 * 30 / (far[1] if name == "default" else far[0]).min()
-    assert all(found == pytest.approx(wanted, rel=0.02) for found, wanted in laid.values()), laid
+    assert all(amount == pytest.approx(expected, rel=0.02) for amount, expected in laid.values()), laid
     assert laid["nearest_source"][0] > 1.5 * laid["default"][0]
 
 
@@ -105,9 +105,9 @@ def test_the_table_beside_the_thesis(tmp_path: Path, capsys: pytest.CaptureFixtu
         return tmp_path / "sweep.json"
 
     assert compare["main"](write(published)) == 0
-    told = capsys.readouterr().out
-    assert "nearest_source" in told
-    assert "0.788" in told and "1.175" in told and "1.330" in told and "2 of 2" in told and "FAILS" not in told
+    output = capsys.readouterr().out
+    assert "nearest_source" in output
+    assert "0.788" in output and "1.175" in output and "1.330" in output and "2 of 2" in output and "FAILS" not in output
     assert compare["main"](write({**published, "reward_50": (900, 3000), "no_decay": (900, 4999)})) == 1
-    told = capsys.readouterr().out
-    assert told.count("FAILS") == 2 and "FAILS  donut: default < reward 50" in told
+    output = capsys.readouterr().out
+    assert output.count("FAILS") == 2 and "FAILS  donut: default < reward 50" in output

@@ -7,21 +7,21 @@ from pathlib import Path
 import meshes
 import numpy as np
 import pytest
-from meaning import WAYS, crowd
+from meaning import OPTION_SETS, crowd
 from plan_text import plan_of
 from test_program import checked, complaints
 
 from antdsl import passes, plan
 from antdsl.fields.pheromone import UNIT
 from antdsl.machine_code import machine
-from antdsl.plan.registers import places
+from antdsl.plan.registers import statement_numbers
 from antdsl.runtime import FieldStart, MeshData, Options, Setting, World, bind, state_hash, step
 from antdsl.runtime.backends.reference import Agent, with_winnings
 from antdsl.runtime.requests import Effects
 
 SHEEP = Path(__file__).parents[1] / "programs" / "sheep.ant"
 NATIVE = Options(backend="native", chunk=8, threads=2, shuffle_rows=5, wait_for_code=True)
-EVERY = (*WAYS, NATIVE) if machine.available() else WAYS
+EVERY = (*OPTION_SETS, NATIVE) if machine.available() else OPTION_SETS
 WORLD = "ant 1\nworld { surface ground; items food { load = 10 } }\nfield grass on ground { cell 10 mm }\n"
 
 
@@ -43,9 +43,9 @@ def pasture(sheep: int, tufts: int = 0, growth: float = 0.0, seed: int = 1) -> t
 
 def units(values: np.ndarray) -> int:
     """Their sum in units of a deposit, each of which has to be whole."""
-    whole = np.asarray(values, np.float64) / UNIT
-    assert np.array_equal(whole, np.rint(whole))
-    return int(whole.astype(np.int64).sum())
+    deposit_units = np.asarray(values, np.float64) / UNIT
+    assert np.array_equal(deposit_units, np.rint(deposit_units))
+    return int(deposit_units.astype(np.int64).sum())
 
 
 def mass(world: World) -> int:
@@ -60,55 +60,55 @@ def shared(world: World) -> int:
 @pytest.mark.parametrize("frames", [100, pytest.param(1000, marks=pytest.mark.slow)])
 def test_grass_and_what_was_eaten_are_together_what_was_there(frames: int) -> None:
     world = bind(*pasture(60))  # type: ignore[arg-type]
-    before, crowded, lost = mass(world), 0, 0
+    start_mass, crowded, lost = mass(world), 0, 0
     states = next(m.states for m in world.plan.species["sheep"].machines)
     graze = states.index("graze")
     for _ in range(frames):
         waiting = world.populations["sheep"].now["main.state"] == graze
         step(world)
         sheep = world.populations["sheep"]
-        assert mass(world) == before
+        assert mass(world) == start_mass
         crowded += shared(world) > 1
         lost += int(np.count_nonzero(waiting & (sheep.now["main.state"] == graze)))
     eaten = units(world.populations["sheep"].now["load"]) * UNIT
     assert crowded == frames and lost > 5, "several stood on one cell, and some came too late"
-    assert before * UNIT > 600 and eaten > 60
+    assert start_mass * UNIT > 600 and eaten > 60
     assert world.fields["grass"].values.min() == 0.0
 
 
 def test_grass_that_grows_is_what_was_laid_and_nothing_else() -> None:
     """24 steps a second, and 0.75 a second: each of 30 tufts lays exactly 1/32 in each step."""
     world = bind(*pasture(40, tufts=30, growth=0.75))  # type: ignore[arg-type]
-    before = mass(world)
+    start_mass = mass(world)
     for frame in range(1, 101):
         step(world)
-        assert mass(world) == before + frame * 30 * round(1 / 32 / UNIT)
+        assert mass(world) == start_mass + frame * 30 * round(1 / 32 / UNIT)
 
 
 def test_all_backends_graze_alike() -> None:
-    made, setting = pasture(40, tufts=5, growth=0.5)
-    found = []
-    for way in EVERY:
-        world = bind(made, setting, way)  # type: ignore[arg-type]
-        frames = 24 if way.backend == "reference" else 60
+    optimised_plan, setting = pasture(40, tufts=5, growth=0.5)
+    hash_lists = []
+    for options in EVERY:
+        world = bind(optimised_plan, setting, options)  # type: ignore[arg-type]
+        frames = 24 if options.backend == "reference" else 60
         hashes = []
         for _ in range(frames):
             step(world)
             hashes.append(state_hash(world))
-        found.append(hashes)
-    assert all(each == found[0][: len(each)] for each in found)
+        hash_lists.append(hashes)
+    assert all(each == hash_lists[0][: len(each)] for each in hash_lists)
 
 
 def play(lines: str, at: list[tuple[float, float]], steps: int, start: float, declared: str = "load = 0") -> World:
     """Agents with those changes at places, on cells that hold `start`, the same in every way."""
     text = f"species a {{ {declared}\nstart p\nstate p {{ {lines} }}\nstate q {{ when false -> p }} }}"
-    made = passes.optimise(plan_of(text, WORLD))
+    optimised_plan = passes.optimise(plan_of(text, WORLD))
     ground = {"ground": MeshData(*meshes.grid(60.0, 4))}
     setting = Setting(seed=7, surfaces=ground, crowds=(crowd(at=at),), field_start={"grass": FieldStart(start, None, None)},
                       items={"food": ()})  # fmt: skip
     hashes, world = set(), None
-    for way in WAYS:
-        world = bind(made, setting, way)
+    for options in OPTION_SETS:
+        world = bind(optimised_plan, setting, options)
         for _ in range(steps):
             step(world)
         hashes.add(state_hash(world))
@@ -163,11 +163,11 @@ def test_all_that_an_item_has_can_be_taken_too() -> None:
 
     text = "species a { load = 0\nstart p\nstate p { when true take all load from nearest(food) -> q }\n"
     text += "state q { when false -> p } }"
-    made = passes.optimise(plan_of(text, WORLD))
+    optimised_plan = passes.optimise(plan_of(text, WORLD))
     setting = Setting(seed=7, surfaces={"ground": MeshData(*meshes.grid(60.0, 4))}, crowds=(crowd(at=[(0, 0)] * 3),),
                       items={"food": (item("f", 0, 0, load=6.5),)})  # fmt: skip
-    for way in WAYS:
-        world = bind(made, setting, way)
+    for options in OPTION_SETS:
+        world = bind(optimised_plan, setting, options)
         step(world)
         assert loads(world) == [0, 0, 6.5] and world.items["food"].amounts["load"].tolist() == [0]
 
@@ -182,7 +182,7 @@ def test_all_that_an_item_has_can_be_taken_too() -> None:
         ("when true take 1 mm load from grass -> q", "wrong-unit"),
     ],
 )
-def test_what_cannot_be_taken_is_told(line: str, code: str) -> None:
+def test_what_cannot_be_taken_is_reported(line: str, code: str) -> None:
     _, report = checked(
         f"{WORLD}species a {{ load = 0; weight = 1 g\nstart p\nstate p {{ {line} }}\nstate q {{ when false -> p }} }}"
     )
@@ -192,16 +192,16 @@ def test_what_cannot_be_taken_is_told(line: str, code: str) -> None:
 def test_an_agent_that_is_run_again_gets_all_that_it_was_given() -> None:
     """As `explain` does: the reference takes one agent through the step, with what the world has settled."""
     text = "species a { load = 0.1; seen = 0\nstart p\nstate p { when true take all load from grass -> q { seen = load } }\n"
-    made = passes.optimise(plan_of(text + "state q { when false -> p } }", WORLD))
+    optimised_plan = passes.optimise(plan_of(text + "state q { when false -> p } }", WORLD))
     setting = Setting(seed=7, surfaces={"ground": MeshData(*meshes.grid(60.0, 4))}, crowds=(crowd(at=[(0, 0)] * 2),),
                       field_start={"grass": FieldStart(1.3, None, None)}, items={"food": ()})  # fmt: skip
-    world, again = bind(made, setting), []
+    world, again = bind(optimised_plan, setting), []
 
     def watch(world: World) -> None:
         ants = world.populations["a"]
         for row in range(len(ants)):
             now = {name: array[row : row + 1].copy() for name, array in ants.start.items()}
-            agent = Agent(world, ants, row, now, 0, Effects(), places(ants.plan))
+            agent = Agent(world, ants, row, now, 0, Effects(), statement_numbers(ants.plan))
             agent.run("decide")
             with_winnings(agent, ants)
             agent.run("act")

@@ -6,7 +6,7 @@ from __future__ import annotations
 import meshes
 import numpy as np
 import pytest
-from meaning import WAYS, Seen, crowd, item, play
+from meaning import OPTION_SETS, RunHistory, crowd, item, play
 from sampling import sampled
 
 from antdsl.loading import library
@@ -20,7 +20,7 @@ UNITS = {
     "max_turn": "deg/s", "max_force": "g * 1 mm/s^2",
 }  # fmt: skip
 # What an argument of a behaviour without a default is given.
-GIVEN = {
+ARGUMENTS_BY_TYPE = {
     "push": "heading", "place": "nearest(food)", "obstacle": "stones", "curve": "way_in", "length": "20 mm", "field": "trail",
     "flow": "drift",
 }  # fmt: skip
@@ -40,14 +40,14 @@ def wishes() -> list[str]:
     """A call of each behaviour of the library."""
     file = library("steering")
     assert file is not None
-    found = []
+    wish_calls = []
     for each in (each for each in file.items if isinstance(each, nodes.Behaviour)):
-        given = [GIVEN[arg.type.span.text] for arg in each.arguments if arg.default is None]
-        found.append(f"{each.name.text}({', '.join(given)})")
-    return found
+        arguments = [ARGUMENTS_BY_TYPE[arg.type.span.text] for arg in each.arguments if arg.default is None]
+        wish_calls.append(f"{each.name.text}({', '.join(arguments)})")
+    return wish_calls
 
 
-def shown(name: str, value: str, birth: str = "", steps: int = 7) -> Seen:
+def play_with_limit(name: str, value: str, birth: str = "", steps: int = 7) -> RunHistory:
     """Animals with all wishes of the library, for whom a limit is set to a value in their second state."""
     text = f"""use steering
 species a {{
@@ -60,14 +60,16 @@ species a {{
   layers sum {{ {"; ".join(wishes())}; state }}
 }}
 """
-    more = {
+    setting_arguments = {
         "surfaces": {"ground": MeshData(*meshes.grid(200.0, 6))},
         "obstacles": {"stones": MeshData(*meshes.box((20, -5, 20), (30, 10, 30)))},
         "curves": {"way_in": np.array([[-50.0, 0, 0], [50, 0, 10]])},
         "items": {"food": (item("f", 30, 0),)},
         "flows": {"drift": SpreadFlow("toward", Target(np.array([[60.0, 0.0, 0.0]]), np.array([8.0])), radius=90.0)},
     }
-    return play(text, crowd(3, radius=15), steps=steps, world=WORLD, contacts="hard", ways=WAYS[:3], **more)
+    return play(
+        text, crowd(3, radius=15), steps=steps, world=WORLD, contacts="hard", option_sets=OPTION_SETS[:3], **setting_arguments
+    )
 
 
 @pytest.mark.slow
@@ -75,8 +77,8 @@ species a {{
 @pytest.mark.parametrize("value", ["0", "-1"])
 def test_a_limit_of_nothing_is_defined(name: str, value: str) -> None:
     birth = "min_speed 1 mm/s" if name == "min_speed" else ""
-    seen = shown(name, f"{value} {UNITS[name]}", birth)
-    for frame in seen.frames:
+    history = play_with_limit(name, f"{value} {UNITS[name]}", birth)
+    for frame in history.frames:
         assert all(
             np.isfinite(each).all() for register, each in frame["a"].items() if each.dtype.kind == "f" and register != "max_turn"
         )
@@ -84,17 +86,17 @@ def test_a_limit_of_nothing_is_defined(name: str, value: str) -> None:
 
 @pytest.mark.parametrize("value", sampled(["0 mm/s", "-3 mm/s", "zero * 1 mm/s"], ["0 mm/s"]))
 def test_who_has_no_speed_stands(value: str) -> None:
-    seen = shown("max_speed", value)
-    assert max(np.abs(seen.frames[2]["a"][f"velocity.{axis}"]).max() for axis in "xyz") > 1
-    for frame in seen.frames[4:]:
+    history = play_with_limit("max_speed", value)
+    assert max(np.abs(history.frames[2]["a"][f"velocity.{axis}"]).max() for axis in "xyz") > 1
+    for frame in history.frames[4:]:
         assert all((frame["a"][f"velocity.{axis}"] == 0).all() for axis in "xyz")
 
 
 @pytest.mark.slow
 def test_who_is_born_without_speed_stands_and_may_get_some_later() -> None:
-    seen = shown("max_speed", "20 mm/s", birth="param slow = 0 mm/s; max_speed slow")
-    born, last = seen.frames[0]["a"], seen.frames[-1]["a"]
-    assert all((each["a"][f"velocity.{axis}"] == 0).all() for each in seen.frames[:3] for axis in "xyz")
+    history = play_with_limit("max_speed", "20 mm/s", birth="param slow = 0 mm/s; max_speed slow")
+    born, last = history.frames[0]["a"], history.frames[-1]["a"]
+    assert all((each["a"][f"velocity.{axis}"] == 0).all() for each in history.frames[:3] for axis in "xyz")
     assert (born["max_force"] == 0).all() and (last["max_speed"] == 20).all()
 
 
@@ -105,7 +107,7 @@ def test_what_is_no_number_is_refused_where_it_is_set(name: str, value: str) -> 
     if name == "max_turn" and value != "zero / zero":
         pytest.skip("an endless `max_turn` is no limit")
     with pytest.raises(FaultStop, match=rf"test.ant:\d+:23: .*`{name}` is not finite"):
-        shown(name, f"({value}) * 1 {UNITS[name]}", birth, steps=5)
+        play_with_limit(name, f"({value}) * 1 {UNITS[name]}", birth, steps=5)
 
 
 def test_a_fault_is_not_blamed_on_a_constant_of_another_line() -> None:
@@ -115,4 +117,4 @@ def test_a_fault_is_not_blamed_on_a_constant_of_another_line() -> None:
 species b { start go; state go { } }
 """
     with pytest.raises(FaultStop, match=r"`far` is not finite \(distance\(nearest\(b\)\) = inf\)"):
-        play(text, crowd(2), steps=3, ways=WAYS[:1])
+        play(text, crowd(2), steps=3, option_sets=OPTION_SETS[:1])

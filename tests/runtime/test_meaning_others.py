@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from meaning import WAYS, crowd, item, play
+from meaning import OPTION_SETS, crowd, item, play
 
 from antdsl.runtime import Options
 
 NATIVE = Options(backend="native", wait_for_code=True, chunk=16, shuffle_rows=5)
-EVERY_WAY = (*WAYS, NATIVE)
+EVERY_WAY = (*OPTION_SETS, NATIVE)
 STILL = "on spawn { velocity = vector(0 mm/s, 0 mm/s, 0 mm/s); heading = vector(1, 0, 0) }\n"
 
 
@@ -19,12 +19,17 @@ def test_the_age_of_others_is_counted_from_their_birth_and_0_for_none() -> None:
         when time > 0.25 s and time < 0.35 s and id < 1 -> s {{ spawn a }}
       }}
       start s }}"""
-    seen = play(text, crowd(at=[(0, 0), (1, 0), (5, 0)]), steps=8, ways=EVERY_WAY)
-    assert seen["id"] == [0, 1, 2, 3]
-    assert [round(v, 4) for v in seen["mine"]] == [0.7, 0.7, 0.7, 0.4]
-    assert [round(v, 4) for v in seen["eldest"]] == [0.7] * 4
-    assert [round(v, 4) for v in seen["friend"]] == [0.4, 0.7, 0.7, 0.7]
-    assert [round(v, 4) for v in seen["near_by"]] == [0.4, 0, 0, 0.7]  # the child stands where its parent does; nobody near is 0
+    history = play(text, crowd(at=[(0, 0), (1, 0), (5, 0)]), steps=8, option_sets=EVERY_WAY)
+    assert history["id"] == [0, 1, 2, 3]
+    assert [round(v, 4) for v in history["mine"]] == [0.7, 0.7, 0.7, 0.4]
+    assert [round(v, 4) for v in history["eldest"]] == [0.7] * 4
+    assert [round(v, 4) for v in history["friend"]] == [0.4, 0.7, 0.7, 0.7]
+    assert [round(v, 4) for v in history["near_by"]] == [
+        0.4,
+        0,
+        0,
+        0.7,
+    ]  # the child stands where its parent does; nobody near is 0
 
 
 WORLD = "ant 1\nworld { surface ground }\n"
@@ -49,16 +54,16 @@ species a {{ hurt = 0
 
 
 def test_an_event_for_one_reaches_that_one_alone_and_none_beyond_reach() -> None:
-    seen = play(
+    history = play(
         FIGHT, crowd(at=[(0, 0), (1, 0), (5, 0), (40, 0)]), crowd(species="b", at=[(0, 3), (0, -2.5), (50, 0)]),
-        world=WORLD, steps=4, ways=EVERY_WAY,
+        world=WORLD, steps=4, option_sets=EVERY_WAY,
     )  # fmt: skip
     # 0 and 1 hit b 1; 2 (5.59 mm from b 1, 5.83 from b 0) too; 3 stands 10 mm from b 2, out of its reach
-    assert [seen.at("hp", k, "b") for k in range(5)] == [[5, 5, 5], [5, 5, 5], [5, 4, 5], [5, 3, 5], [5, 5]]
-    assert seen["hurt"] == [0, 0, 0, 0]
+    assert [history.at("hp", k, "b") for k in range(5)] == [[5, 5, 5], [5, 5, 5], [5, 4, 5], [5, 3, 5], [5, 5]]
+    assert history["hurt"] == [0, 0, 0, 0]
 
 
-def test_an_event_for_none_or_for_the_dead_reaches_nobody_and_for_oneself_only_oneself() -> None:
+def test_an_event_for_none_or_for_the_dead_reaches_no_agent_and_for_oneself_only_oneself() -> None:
     text = f"""species a {{ hits = 0; woken = 0
       {STILL}
       on hit {{ hits += 1 }}
@@ -70,12 +75,12 @@ def test_an_event_for_none_or_for_the_dead_reaches_nobody_and_for_oneself_only_o
         when id < 0.5 and time > 0.25 s -> t {{ die }}
       }}
       state t {{ when false -> s }} }}"""
-    seen = play(text, crowd(at=[(0, 0), (1, 0), (9, 0)]), steps=4, ways=EVERY_WAY)
-    assert seen["id"] == [1, 2] and seen["hits"] == [2, 0] and seen["woken"] == [0, 3]
+    history = play(text, crowd(at=[(0, 0), (1, 0), (9, 0)]), steps=4, option_sets=EVERY_WAY)
+    assert history["id"] == [1, 2] and history["hits"] == [2, 0] and history["woken"] == [0, 3]
 
 
 def test_most_takes_the_nearest_and_at_a_tie_the_lesser_id() -> None:
-    places = [(0, 0), (3, 0), (-3, 0), (0, 3), (0, 5), (8, 0)]
+    points = [(0, 0), (3, 0), (-3, 0), (0, 3), (0, 5), (8, 0)]
     text = f"""species a {{ param few = 2 in 0 .. 9
       two = 0; ids = 0; three = 0; ahead = 0; odd = 0; many = 0; none_of = 0; meals = 0; own = 0; part = 1
       {STILL}
@@ -96,14 +101,14 @@ def test_most_takes_the_nearest_and_at_a_tie_the_lesser_id() -> None:
         item("i", -9, 0, load=2),
         item("j", 0, 9, load=1),
     )
-    seen = play(text, crowd(at=places), ways=EVERY_WAY, items={"food": food, "nest": ()})
-    assert seen["two"] == [2] * 6 and seen["many"] == [5] * 6 and seen["none_of"] == [0] * 6
-    assert seen["ids"] == [1 + 2, 0 + 3, 0 + 3, 4 + 0, 3 + 0, 1 + 0]  # 1 2 3 are all 3 mm from 0
-    assert seen["three"] == [6, 0 + 3 + 5, 0 + 3 + 4, 4 + 0 + 1, 3 + 0 + 1, 1 + 0 + 3]
-    assert seen["ahead"] == [1, 5, 0, 1, 5, 0]
-    assert seen["odd"] == [1 + 3, 3 + 5, 3 + 1, 1 + 5, 3 + 1, 1 + 3]
-    assert seen["own"] == [0, 1, 1, 2, 1, 0]
-    assert seen["meals"][0] == 12 and seen["meals"][5] == 12
+    history = play(text, crowd(at=points), option_sets=EVERY_WAY, items={"food": food, "nest": ()})
+    assert history["two"] == [2] * 6 and history["many"] == [5] * 6 and history["none_of"] == [0] * 6
+    assert history["ids"] == [1 + 2, 0 + 3, 0 + 3, 4 + 0, 3 + 0, 1 + 0]  # 1 2 3 are all 3 mm from 0
+    assert history["three"] == [6, 0 + 3 + 5, 0 + 3 + 4, 4 + 0 + 1, 3 + 0 + 1, 1 + 0 + 3]
+    assert history["ahead"] == [1, 5, 0, 1, 5, 0]
+    assert history["odd"] == [1 + 3, 3 + 5, 3 + 1, 1 + 5, 3 + 1, 1 + 3]
+    assert history["own"] == [0, 1, 1, 2, 1, 0]
+    assert history["meals"][0] == 12 and history["meals"][5] == 12
 
 
 def test_the_nearest_few_are_the_same_where_several_regions_ask_for_them() -> None:
@@ -114,5 +119,5 @@ def test_the_nearest_few_are_the_same_where_several_regions_ask_for_them() -> No
         when id > 3 -> s {{ x = count(n in neighbours(40 mm, most: 3): n.id > 3) }}
         when true -> s {{ y = sum(n in neighbours(40 mm, most: 3): n.id) }}
       }} }}"""
-    seen = play(text, crowd(9, radius=40), ways=(WAYS[0], NATIVE, WAYS[2]))
-    assert any(seen["x"]) and all(x == 0 for x in seen["x"][:4]) and sum(y > 0 for y in seen["y"]) >= 3
+    history = play(text, crowd(9, radius=40), option_sets=(OPTION_SETS[0], NATIVE, OPTION_SETS[2]))
+    assert any(history["x"]) and all(x == 0 for x in history["x"][:4]) and sum(y > 0 for y in history["y"]) >= 3

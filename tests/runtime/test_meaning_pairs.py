@@ -6,7 +6,7 @@ from fractions import Fraction
 
 import numpy as np
 import pytest
-from meaning import WAYS, crowd, play
+from meaning import OPTION_SETS, crowd, play
 from plan_text import plan_of
 
 from antdsl.passes import optimise
@@ -14,20 +14,20 @@ from antdsl.plan.registers import slot_names
 from antdsl.runtime import FaultStop, Options, Setting, World, bind, checkpoint, restore, state_hash, step
 
 NATIVE = Options(backend="native", wait_for_code=True, chunk=16, shuffle_rows=5)
-EVERY_WAY = (*WAYS, NATIVE)
+EVERY_WAY = (*OPTION_SETS, NATIVE)
 STILL = "on spawn { velocity = vector(0 mm/s, 0 mm/s, 0 mm/s); heading = vector(1, 0, 0) }\n"
 
 
-def kept(world: World, name: str = "likes", species: str = "a", count: int = 3) -> dict[int, dict[int, float]]:
+def read_pairs(world: World, name: str = "likes", species: str = "a", count: int = 3) -> dict[int, dict[int, float]]:
     """What each agent keeps about whom, by id."""
     population = world.populations[species]
-    found: dict[int, dict[int, float]] = {int(agent): {} for agent in population.ids}
+    pairs_by_agent: dict[int, dict[int, float]] = {int(agent): {} for agent in population.ids}
     for who, value in slot_names(name, count):
         for agent, other, held in zip(population.ids, population.now[who], population.now[value], strict=True):
             if other >= 0:
-                assert int(other) not in found[int(agent)], "two slots about one"
-                found[int(agent)][int(other)] = float(held)
-    return found
+                assert int(other) not in pairs_by_agent[int(agent)], "two slots about one"
+                pairs_by_agent[int(agent)][int(other)] = float(held)
+    return pairs_by_agent
 
 
 def test_a_line_writes_about_one_and_reads_it_again() -> None:
@@ -39,11 +39,11 @@ def test_a_line_writes_about_one_and_reads_it_again() -> None:
         likes[nearest(a)] += 2 /s; same = likes[nearest(a)]; seen = sum(n in a: likes[n] * (n.id + 1))
         nobody = likes[nearest(neighbours(0.001 mm))]
       }} }}"""
-    seen = play(text, crowd(at=[(0, 0), (1, 0), (5, 0)]), steps=3, ways=EVERY_WAY)
-    assert seen["same"] == [np.float32(0.2) + np.float32(0.2) + np.float32(0.2)] * 3  # written in this step already
-    assert [round(v, 5) for v in seen["seen"]] == [1.2, 0.6, 1.2]
-    assert seen["nobody"] == [0, 0, 0]
-    assert {a: list(about) for a, about in kept(seen.world).items()} == {0: [1], 1: [0], 2: [1]}
+    history = play(text, crowd(at=[(0, 0), (1, 0), (5, 0)]), steps=3, option_sets=EVERY_WAY)
+    assert history["same"] == [np.float32(0.2) + np.float32(0.2) + np.float32(0.2)] * 3  # written in this step already
+    assert [round(v, 5) for v in history["seen"]] == [1.2, 0.6, 1.2]
+    assert history["nobody"] == [0, 0, 0]
+    assert {a: list(partners) for a, partners in read_pairs(history.world).items()} == {0: [1], 1: [0], 2: [1]}
 
 
 CROWD = """species a { fears = 0
@@ -68,11 +68,13 @@ class Reading:
     def __init__(self, strongest: int) -> None:
         self.strongest, self.kept = strongest, {}
 
-    def step(self, places: dict[int, np.ndarray], dt: float) -> None:
-        for agent, place in places.items():
+    def step(self, positions: dict[int, np.ndarray], dt: float) -> None:
+        for agent, place in positions.items():
             mine = self.kept.setdefault(agent, {})
-            mine = {other: value * np.exp(-dt / 2) for other, value in mine.items() if other in places}
-            away = {other: float(np.linalg.norm(there - place)) for other, there in places.items() if other != agent}
+            mine = {other: value * np.exp(-dt / 2) for other, value in mine.items() if other in positions}
+            away = {
+                other: float(np.linalg.norm(other_place - place)) for other, other_place in positions.items() if other != agent
+            }
             for other, distance in away.items():
                 if distance <= 14:
                     mine[other] = mine.get(other, 0) + (other - 4.2) * distance * 0.1 * dt
@@ -87,28 +89,35 @@ class Reading:
 
 
 def test_a_crowd_keeps_the_strongest_and_forgets_the_dead() -> None:
-    reading, seen = Reading(3), []
+    reading, pairs_by_frame = Reading(3), []
 
     def compare(world: World) -> None:
         population = world.populations["a"]
-        now = kept(world)
+        now = read_pairs(world)
         alive = set(population.ids.tolist())
-        told = {a: {o: v for o, v in about.items() if o in alive} for a, about in reading.kept.items() if a in alive}
-        for agent, about in told.items():
-            assert now[agent] == pytest.approx(about, abs=1e-5), f"frame {world.frame}, agent {agent}"
-        seen.append(now)
+        expected = {a: {o: v for o, v in partners.items() if o in alive} for a, partners in reading.kept.items() if a in alive}
+        for agent, partners in expected.items():
+            assert now[agent] == pytest.approx(partners, abs=1e-5), f"frame {world.frame}, agent {agent}"
+        pairs_by_frame.append(now)
 
     def first(world: World) -> None:
-        places = dict(zip(starts["ids"].tolist(), starts["places"], strict=True))
-        reading.step(places, 0.1)
+        positions = dict(zip(starts["ids"].tolist(), starts["places"], strict=True))
+        reading.step(positions, 0.1)
         compare(world)
         starts.update(ids=world.populations["a"].ids.copy(), places=world.populations["a"].position.copy())
 
     starts = {"ids": np.arange(10), "places": np.array([(x, 0.0, z) for x, z in TEN])}
-    end = play(CROWD, crowd(at=TEN.tolist()), steps=16, ways=EVERY_WAY, each=first)
-    assert 5 in seen[5] and 5 not in seen[-1] and 10 in seen[-1] and not any(5 in about for about in seen[-1].values())
-    assert sum(len(about) == 3 for about in seen[-1].values()) == 10 and any(10 in about for about in seen[-1].values())
-    assert any(v < 0 for about in seen[-1].values() for v in about.values()) and end["fears"] != [0.0] * 10
+    end = play(CROWD, crowd(at=TEN.tolist()), steps=16, option_sets=EVERY_WAY, each=first)
+    assert (
+        5 in pairs_by_frame[5]
+        and 5 not in pairs_by_frame[-1]
+        and 10 in pairs_by_frame[-1]
+        and not any(5 in partners for partners in pairs_by_frame[-1].values())
+    )
+    assert sum(len(partners) == 3 for partners in pairs_by_frame[-1].values()) == 10 and any(
+        10 in partners for partners in pairs_by_frame[-1].values()
+    )
+    assert any(v < 0 for partners in pairs_by_frame[-1].values() for v in partners.values()) and end["fears"] != [0.0] * 10
 
 
 def test_a_value_begins_and_rests_where_it_says_and_events_add_to_it() -> None:
@@ -122,13 +131,15 @@ def test_a_value_begins_and_rests_where_it_says_and_events_add_to_it() -> None:
         told = trusts[nearest(a)]; none_of = trusts[nearest(neighbours(0.01 mm))]; fell = trusts[best(n in a: distance(n))]
         when frame == 2 and id == 0 -> s {{ emit shout to nearest(a); trusts[n in a] = n.id / 2 }}
       }} }}"""
-    seen = play(text, crowd(at=[(0, 0), (1, 0), (5, 0)]), steps=24, ways=EVERY_WAY)
-    assert seen.at("told", 1) == [0.5] * 3 and seen.every("none_of") == [0.0] + [0.5] * 24
-    frames = [round(v, 4) for v in (seen.at("told", 3)[1], seen.at("told", 13)[1])]
+    history = play(text, crowd(at=[(0, 0), (1, 0), (5, 0)]), steps=24, option_sets=EVERY_WAY)
+    assert history.at("told", 1) == [0.5] * 3 and history.every("none_of") == [0.0] + [0.5] * 24
+    frames = [round(v, 4) for v in (history.at("told", 3)[1], history.at("told", 13)[1])]
     assert frames == [0.25, round(0.5 - 0.25 * np.exp(-1), 4)]
     # 0 has set 0.5 about 1, which is the value of rest, and 1 about 2
-    assert kept(play(text, crowd(at=[(0, 0), (1, 0), (5, 0)]), steps=3, ways=WAYS[:1]).world, "trusts", count=2)[0].keys() == {2}
-    assert round(seen.at("fell", 13)[0], 4) == round(0.5 + 0.5 * np.exp(-1.1), 4)
+    assert read_pairs(
+        play(text, crowd(at=[(0, 0), (1, 0), (5, 0)]), steps=3, option_sets=OPTION_SETS[:1]).world, "trusts", count=2
+    )[0].keys() == {2}
+    assert round(history.at("fell", 13)[0], 4) == round(0.5 + 0.5 * np.exp(-1.1), 4)
 
 
 def test_what_is_no_number_is_refused_by_its_name() -> None:
@@ -138,7 +149,7 @@ def test_what_is_no_number_is_refused_by_its_name() -> None:
           start s
           state s {{ {line}; when zero > 1 -> s {{ zero += 1 }} }} }}"""
         with pytest.raises(FaultStop) as stopped:
-            play(text, crowd(at=[(0, 0), (1, 0)]), ways=WAYS[:1])
+            play(text, crowd(at=[(0, 0), (1, 0)]), option_sets=OPTION_SETS[:1])
         assert "`likes`" in str(stopped.value) or "likes" in stopped.value.fault.register, line
 
 
@@ -156,7 +167,7 @@ def test_a_checkpoint_goes_on_to_the_same_values() -> None:
     for number in range(7, 14):
         step(again)
         assert state_hash(again) == hashes[number]
-    assert kept(again) == kept(world)
+    assert read_pairs(again) == read_pairs(world)
 
 
 DENSE = """species a {
@@ -186,9 +197,11 @@ def test_a_dense_crowd_has_the_same_values_in_any_order_of_rows_threads_and_chun
         Options(backend="numpy", threads=2, shuffle_rows=3, chunk=300),
         Options(backend="native", wait_for_code=True, threads=2, shuffle_rows=7, chunk=64),
     )
-    seen = play(DENSE, crowd(400, radius=18), world="ant 1\nuse steering\nworld { surface ground }\n", steps=6, fps=24, ways=many)
-    now = kept(seen.world, count=8)
-    assert sum(len(about) == 8 for about in now.values()) > 350 and sum(seen["hits"]) > 5 and len(now) != 400
+    history = play(
+        DENSE, crowd(400, radius=18), world="ant 1\nuse steering\nworld { surface ground }\n", steps=6, fps=24, option_sets=many
+    )
+    now = read_pairs(history.world, count=8)
+    assert sum(len(partners) == 8 for partners in now.values()) > 350 and sum(history["hits"]) > 5 and len(now) != 400
 
 
 def test_pairs_across_species_begin_at_birth_and_each_keeps_its_own() -> None:
@@ -205,13 +218,17 @@ def test_pairs_across_species_begin_at_birth_and_each_keeps_its_own() -> None:
         when frame == 2 and id == 0 -> s {{ spawn a; knows[n in b] += n.id + 1 }}
       }}
     }}"""
-    told: list[dict[int, dict[int, float]]] = []
+    pairs_by_frame: list[dict[int, dict[int, float]]] = []
 
     def note(world: World) -> None:
-        told.append(kept(world, "knows", count=2))
+        pairs_by_frame.append(read_pairs(world, "knows", count=2))
 
     others = crowd(species="b", at=[(1, 0), (8, 0), (30, 0)])
-    play(text, crowd(at=[(0, 0), (9, 0)]), others, steps=5, ways=EVERY_WAY, each=note)
-    assert told[0] == {0: {0: 3.0}, 1: {1: 3.0}}
-    assert told[1] == {0: {0: 4.0, 2: 3.0}, 1: {1: 3.0}, 2: {0: 3.0}}  # 3 about b 2, and 2 about b 1, for which there is no room
-    assert told[-1] == {0: {2: 3.0}, 1: {1: 3.0}, 2: {}}
+    play(text, crowd(at=[(0, 0), (9, 0)]), others, steps=5, option_sets=EVERY_WAY, each=note)
+    assert pairs_by_frame[0] == {0: {0: 3.0}, 1: {1: 3.0}}
+    assert pairs_by_frame[1] == {
+        0: {0: 4.0, 2: 3.0},
+        1: {1: 3.0},
+        2: {0: 3.0},
+    }  # 3 about b 2, and 2 about b 1, for which there is no room
+    assert pairs_by_frame[-1] == {0: {2: 3.0}, 1: {1: 3.0}, 2: {}}

@@ -8,7 +8,7 @@ from pathlib import Path
 import meshes
 import numpy as np
 import pytest
-from meaning import FAST, WAYS, crowd, item, played
+from meaning import FAST, OPTION_SETS, crowd, item, played
 
 from antdsl import plan
 from antdsl.passes import optimise
@@ -39,7 +39,7 @@ def test_hunters_chase_rabbits_and_rabbits_run() -> None:
         crowds=(crowd(4, "hunter", radius=60), crowd(12, "rabbit", radius=60)),
     )  # fmt: skip
     hunting = planned("hunters", "rabbits")
-    played(hunting, setting, 8, "hunter", WAYS)
+    played(hunting, setting, 8, "hunter", OPTION_SETS)
     gaps: list[np.ndarray] = []
 
     def each(world: World) -> None:
@@ -48,17 +48,17 @@ def test_hunters_chase_rabbits_and_rabbits_run() -> None:
         assert (prey >= 0).all()
         gaps.append(np.linalg.norm(hunters.position - rabbits.position[rabbits.rows_of(prey)], axis=1))
 
-    seen = played(hunting, setting, 240, "hunter", FAST[:1], each)
-    assert set(seen["main.state"]) == {0} and gaps[-1].mean() < gaps[0].mean() - 3
+    history = played(hunting, setting, 240, "hunter", FAST[:1], each)
+    assert set(history["main.state"]) == {0} and gaps[-1].mean() < gaps[0].mean() - 3
     assert np.sort(gaps[-1])[2] < 8 and np.min(gaps[48:]) > 2  # three are close behind, nobody has caught one
-    rabbits = seen.world.populations["rabbit"]
-    assert seen.world.transitions["rabbit.run->flee"] > 3
+    rabbits = history.world.populations["rabbit"]
+    assert history.world.transitions["rabbit.run->flee"] > 3
     assert np.linalg.norm(rabbits.position, axis=1).max() < 101
-    assert len(set(seen["prey"])) > 1
+    assert len(set(history["prey"])) > 1
 
 
 @pytest.mark.slow
-def test_everybody_leaves_the_building_by_an_open_exit() -> None:
+def test_all_people_leave_the_building_by_an_open_exit() -> None:
     """Two rooms' worth of walls, one exit open, one shut."""
     walls = [meshes.box((-4000, -100, 1500), (4000, 2500, 1700)), meshes.box((-4000, -100, -1700), (4000, 2500, -1500))]
     vertices = np.concatenate([w[0] for w in walls])
@@ -71,13 +71,13 @@ def test_everybody_leaves_the_building_by_an_open_exit() -> None:
     people: list[float] = []
 
     def each(world: World) -> None:
-        here = world.populations["person"]
+        population = world.populations["person"]
         out = sum(float(amount.sum()) for name, amount in world.items["exits"].amounts.items() if name == "passed")
-        people.append(float(here.now["passed"].sum()) + out)
-        assert here.now["fear"].max(initial=0) <= 5
+        people.append(float(population.now["passed"].sum()) + out)
+        assert population.now["fear"].max(initial=0) <= 5
 
     leaving = planned("evacuation")
-    played(leaving, setting, 40, "person", (WAYS[0], WAYS[1]))
-    seen = played(leaving, setting, 600, "person", WAYS[:1], each)
+    played(leaving, setting, 40, "person", (OPTION_SETS[0], OPTION_SETS[1]))
+    history = played(leaving, setting, 600, "person", OPTION_SETS[:1], each)
     assert set(people) == {16.0}
-    assert seen.world.items["exits"].amounts["passed"].tolist() == [16.0, 0.0] and seen["id"] == []
+    assert history.world.items["exits"].amounts["passed"].tolist() == [16.0, 0.0] and history["id"] == []

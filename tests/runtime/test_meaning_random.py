@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import random_sensing
 import random_vanishing
-from meaning import WAYS, crowd, item, play
+from meaning import OPTION_SETS, crowd, item, play
 from random_programs import NAMES, NUMBERS, Author, Reading
 from sampling import sampled
 
@@ -27,13 +27,13 @@ SENSING = (
 @pytest.mark.parametrize("seed", [*range(30), 1283])
 def test_a_program_does_what_it_says(seed: int) -> None:
     program = Author(random.Random(seed)).program()
-    seen = play(program.text, steps=FRAMES, ways=(WAYS[0], WAYS[2]))
+    history = play(program.text, steps=FRAMES, option_sets=(OPTION_SETS[0], OPTION_SETS[2]))
     reading = Reading(program)
     for frame in range(FRAMES + 1):
-        state = NAMES[seen.at("main.state", frame)[0]]
-        numbers = [seen.at(name, frame)[0] for name in NUMBERS]
-        told = (reading.state, [float(reading.now[name]) for name in NUMBERS])
-        assert (state, numbers) == told, f"frame {frame}\n{program.text}"
+        state = NAMES[history.at("main.state", frame)[0]]
+        numbers = [history.at(name, frame)[0] for name in NUMBERS]
+        expected = (reading.state, [float(reading.now[name]) for name in NUMBERS])
+        assert (state, numbers) == expected, f"frame {frame}\n{program.text}"
         reading.step()
 
 
@@ -54,18 +54,18 @@ def place() -> dict[str, object]:
 def test_backends_agree_on_what_agents_sense_and_do(seed: int, place: dict[str, object]) -> None:
     text = random_sensing.Sensing(seed).text
     agents = (crowd(9, radius=60), crowd(3, species="other", radius=60))
-    seen = play(text, *agents, world=random_sensing.WORLD, steps=6, ways=SENSING, **place)
-    assert seen.world.frame == 6 and seen.world.faults.count == 0  # what is no number loses against its bounds
+    history = play(text, *agents, world=random_sensing.WORLD, steps=6, option_sets=SENSING, **place)
+    assert history.world.frame == 6 and history.world.faults.count == 0  # what is no number loses against its bounds
 
 
 @pytest.mark.parametrize("seed", sampled(range(60), [3]))
 def test_backends_agree_on_species_that_die_out_and_come_back(seed: int, place: dict[str, object]) -> None:
     text = random_vanishing.Vanishing(seed).text
-    there: list[tuple[int, ...]] = []
+    agent_counts: list[tuple[int, ...]] = []
     crowds = (crowd(4, radius=60), crowd(3, species="other", radius=60), crowd(1, species="egg", radius=60))
 
     def count(world: World) -> None:
-        there.append(tuple(len(world.populations[name]) for name in ("a", "other")))
+        agent_counts.append(tuple(len(world.populations[name]) for name in ("a", "other")))
 
-    seen = play(text, *crowds, world=random_sensing.WORLD, steps=14, ways=SENSING, each=count, **place)
-    assert seen.world.faults.count == 0 and any(0 in each for each in there)
+    history = play(text, *crowds, world=random_sensing.WORLD, steps=14, option_sets=SENSING, each=count, **place)
+    assert history.world.faults.count == 0 and any(0 in each for each in agent_counts)

@@ -31,17 +31,17 @@ state r {{ enter {{ n += 1000 }}; when frame == 6 -> previous; when false -> p }
 
 @pytest.mark.parametrize("target", ["previous", "choose { p: 1; q: 0 }"])
 def test_from_any_does_not_enter_the_own_state_by_a_target_that_only_the_run_knows(target):
-    seen = play(
+    history = play(
         f"species a {{ n = 0\nstart p\nfrom any when frame == 2 or frame == 5 -> {target} {{ n += 1 }}\n"
         "state p { when frame == 3 -> q }\nstate q { when false -> p } }",
         steps=6,
     )
-    assert seen.states() == ["p", "p", "p", "q", "q", "p", "p"]
-    assert seen["n"] == [1]
+    assert history.states() == ["p", "p", "p", "q", "q", "p", "p"]
+    assert history["n"] == [1]
 
 
 def test_parts_of_a_step_run_in_their_order_and_each_line_sees_the_one_above():
-    seen = play(
+    history = play(
         """species a {
 n = 1
 log = 0
@@ -65,14 +65,14 @@ from any except p, q when ping -> q { n = n * 2; log = log * 10 + before }
         steps=2,
     )
     # frame 0: exit of p logs 1. frame 1: handler 2, action 4 (logs the start's 1), enter 5, body 6
-    assert seen.every("log") == [0, 1, 1 * 1000 + 156]
-    assert seen.every("n") == [1, 1, 6]
+    assert history.every("log") == [0, 1, 1 * 1000 + 156]
+    assert history.every("n") == [1, 1, 6]
 
 
 @pytest.mark.parametrize("fps", sampled([10, 24, 25, 30, 48, 60], [24, 30]))
 @pytest.mark.parametrize("seconds", [0.1, 0.5, 0.7, 1.0])
 def test_durations_are_whole_steps_rounded_up(fps, seconds):
-    seen = play(
+    history = play(
         f"""species a {{
 machine one {{ start p
   state p {{ when after {seconds} s -> q }}
@@ -87,13 +87,13 @@ machine three {{ start p3
         steps=math.ceil(1.0 * fps) + 4, fps=fps,
     )  # fmt: skip
     steps = math.ceil(round(seconds * fps, 9))
-    assert seen.states(machine="one").index("q") == steps + 1
-    assert seen.states(machine="two").index("q2") == steps + 3
-    assert seen.states(machine="three").index("q3") == steps + 1
+    assert history.states(machine="one").index("q") == steps + 1
+    assert history.states(machine="two").index("q2") == steps + 3
+    assert history.states(machine="three").index("q3") == steps + 1
 
 
 def test_a_break_starts_held_again_and_at_least_is_left_by_interrupt_only():
-    seen = play(
+    history = play(
         """species a {
 start p
 state p { when frame != 4 held 0.3 s -> q }
@@ -102,11 +102,11 @@ state r { when false -> s }
 state s { when false -> p } }""",
         steps=12,
     )
-    assert seen.states() == ["p"] * 4 + ["p"] * 4 + ["q"] * 2 + ["s"] * 3
+    assert history.states() == ["p"] * 4 + ["p"] * 4 + ["q"] * 2 + ["s"] * 3
 
 
 def test_machines_look_at_each_other_as_they_were_and_steer_together():
-    seen = play(
+    history = play(
         """species a {
 x = 0
 y = 0
@@ -123,15 +123,15 @@ on spawn { velocity = vector(0 mm/s, 0 mm/s, 0 mm/s) }
 }""",
         steps=7,
     )
-    assert seen.states(machine="two") == ["s"] * 3 + ["r"] * 2 + ["s2"] * 3
-    assert seen.states(machine="one") == ["p"] * 4 + ["q"] * 4
-    assert (seen.every("x")[-1], seen.every("y")[-1]) == (3, 4)
+    assert history.states(machine="two") == ["s"] * 3 + ["r"] * 2 + ["s2"] * 3
+    assert history.states(machine="one") == ["p"] * 4 + ["q"] * 4
+    assert (history.every("x")[-1], history.every("y")[-1]) == (3, 4)
     # a kinematic push of 1 is twice the full speed: 0.25 twice over is 5 mm/s a step, 4 steps of q, 3 of s2, cut to 10 mm/s
-    assert seen.every("velocity.x")[4:6] == pytest.approx([5, 10 / math.hypot(10, 5) * 10])
+    assert history.every("velocity.x")[4:6] == pytest.approx([5, 10 / math.hypot(10, 5) * 10])
 
 
 def test_latch_relax_and_events_come_once_a_step_later():
-    seen = play(
+    history = play(
         """species a {
 n = 0
 heard = 0
@@ -153,29 +153,29 @@ state t { when false -> s } }""",
         crowd(2, at=[(0, 0), (3, 0)]), crowd(species="b", at=[(4, 0), (20, 0), (-4.9, 0)]), steps=10,
     )  # fmt: skip
     # A latch is set before the lines of its step: above 2.5 after three steps, seen in the fourth
-    assert seen.every("n") == [0, 1, 2, 3, 2, 1, 0, 1, 2, 3, 2]
-    assert seen.every("heard")[:4] == [0, 0, 0, 1] and seen["heard"] == [1, 1]  # two called, it is noticed once
-    assert seen.at("main.state", -1, "b") == [1, 0, 1] and seen.at("heard", -1, "b") == [1, 0, 1]
-    assert seen["calm"][0] == pytest.approx(1 - math.exp(-1), rel=1e-5)
+    assert history.every("n") == [0, 1, 2, 3, 2, 1, 0, 1, 2, 3, 2]
+    assert history.every("heard")[:4] == [0, 0, 0, 1] and history["heard"] == [1, 1]  # two called, it is noticed once
+    assert history.at("main.state", -1, "b") == [1, 0, 1] and history.at("heard", -1, "b") == [1, 0, 1]
+    assert history["calm"][0] == pytest.approx(1 - math.exp(-1), rel=1e-5)
 
 
 def test_choose_and_chance_have_their_shares_and_a_share_needs_no_rate():
     text = "start p\nstate p { when true -> choose { q: 3; r: 1 } }\nstate q { when false -> p }\nstate r { when false -> p }"
-    states = play(f"species a {{ {text} }}", crowd(400), steps=1, ways=FAST)["main.state"]
+    states = play(f"species a {{ {text} }}", crowd(400), steps=1, option_sets=FAST)["main.state"]
     assert states.count(1) == pytest.approx(300, abs=40) and states.count(0) == 0
     rate = "species a {{ start p\nstate p {{ when chance 50 %/s -> q }}\nstate q {{ when false -> p }} }}"
     for fps in (5, 30):
-        gone = play(rate.format(), crowd(400), steps=2 * fps, fps=fps, ways=FAST)["main.state"].count(1)
-        assert gone == pytest.approx(400 * (1 - math.exp(-1)), abs=45)
+        changed_count = play(rate.format(), crowd(400), steps=2 * fps, fps=fps, option_sets=FAST)["main.state"].count(1)
+        assert changed_count == pytest.approx(400 * (1 - math.exp(-1)), abs=45)
     share = (
         "species a { on spawn { emit ping }\non ping { n += 1 }\nn = 0\n"
         "start p\nstate p { when ping and chance 30 % -> q }\nstate q { when false -> p } }"
     )
-    assert play(share, crowd(400), steps=9, ways=FAST)["main.state"].count(1) == pytest.approx(120, abs=40)
+    assert play(share, crowd(400), steps=9, option_sets=FAST)["main.state"].count(1) == pytest.approx(120, abs=40)
 
 
-def test_keep_is_memory_of_one_call_that_rests_where_it_is_not_asked():
-    seen = play(
+def test_keep_is_memory_of_one_call_that_rests_where_it_is_not_called():
+    history = play(
         """behaviour tally() -> number { keep n = 1 then n + 1
 n }
 species a {
@@ -186,8 +186,8 @@ state p { x = tally(); when frame == 4 -> q }
 state q { y = tally() + tally(); when frame == 6 -> p } }""",
         steps=8,
     )
-    assert seen.every("x") == [0, 1, 2, 3, 3, 3, 4, 5, 6]
-    assert seen.every("y") == [0, 0, 0, 0, 2, 4, 4, 4, 4]
+    assert history.every("x") == [0, 1, 2, 3, 3, 3, 4, 5, 6]
+    assert history.every("y") == [0, 0, 0, 0, 2, 4, 4, 4, 4]
 
 
 # --- taking and giving ------------------------------------------------------------------------------------------------
@@ -209,9 +209,9 @@ def test_crumbs_are_conserved_and_each_has_one_winner():
         totals.append(items + float(world.populations["a"].now["load"].astype(float).sum()))
 
     items = {"food": (item("f", 0, 0, 5, load=3), item("g", 50, 0, 5, load=2.5)), "nest": (item("n", 0, 10),)}
-    seen = play(FEAST, crowd(10, radius=3), steps=6, items=items, each=each)
-    assert seen["main.state"].count(2) == 3 and seen["main.state"].count(0) == 7
-    assert (seen.amounts("food"), seen.amounts("nest"), set(totals)) == ([0, 2.5], [3], {5.5})
+    history = play(FEAST, crowd(10, radius=3), steps=6, items=items, each=each)
+    assert history["main.state"].count(2) == 3 and history["main.state"].count(0) == 7
+    assert (history.amounts("food"), history.amounts("nest"), set(totals)) == ([0, 2.5], [3], {5.5})
 
 
 def test_who_loses_does_nothing_of_the_change():
@@ -221,9 +221,9 @@ n = 0
 start p
 state p { exit { n += 1 }; when true take 1 load from nearest(food) -> q { n += 1 } }
 state q { enter { n += 1; load = load + 10 }; when false -> p } }"""
-    seen = play(text, crowd(5), steps=4, items={"food": (item("f", 0, 0, load=2),)})
-    assert sorted(seen["n"]) == [0, 0, 0, 3, 3] and sorted(seen["load"]) == [0, 0, 0, 11, 11]
-    assert seen.amounts("food") == [0]
+    history = play(text, crowd(5), steps=4, items={"food": (item("f", 0, 0, load=2),)})
+    assert sorted(history["n"]) == [0, 0, 0, 3, 3] and sorted(history["load"]) == [0, 0, 0, 11, 11]
+    assert history.amounts("food") == [0]
 
 
 def test_machines_that_take_in_the_same_step_win_apart():
@@ -238,16 +238,16 @@ machine two { start u
   state u { when true take 2 load from nearest(food) -> v { m += 1 } }
   state v { when false -> u } } }"""
     for load in (3, 4, 9):
-        seen = play(text, crowd(2), steps=3, items={"food": (item("f", 0, 0, load=load),)})
-        assert seen["load"] == [k + 2 * m for k, m in zip(seen["k"], seen["m"], strict=True)]
-        assert sum(seen["load"]) + seen.amounts("food")[0] == load and sum(seen["load"]) >= min(load, 6) - 1
+        history = play(text, crowd(2), steps=3, items={"food": (item("f", 0, 0, load=load),)})
+        assert history["load"] == [k + 2 * m for k, m in zip(history["k"], history["m"], strict=True)]
+        assert sum(history["load"]) + history.amounts("food")[0] == load and sum(history["load"]) >= min(load, 6) - 1
 
 
 def test_giving_is_a_rate_in_a_body_and_never_more_than_there_is():
     text = "species a { load = 1\nstart p\nstate p { give 4 /s load to nest; when false -> q }\nstate q { when false -> p } }"
-    seen = play(text, crowd(3), steps=4, items={"nest": (item("n", 0, 9), item("far", 90, 0))})
-    assert seen["load"] == [0, 0, 0] and seen.amounts("nest") == [3, 0]
-    assert seen.every("load")[1:3] == pytest.approx([0.6, 0.2])
+    history = play(text, crowd(3), steps=4, items={"nest": (item("n", 0, 9), item("far", 90, 0))})
+    assert history["load"] == [0, 0, 0] and history.amounts("nest") == [3, 0]
+    assert history.every("load")[1:3] == pytest.approx([0.6, 0.2])
 
 
 def test_two_lines_that_look_alike_have_draws_and_memories_of_their_own():
@@ -266,15 +266,15 @@ state p { emit ping; when false -> q }
 state q { when false -> p }
 state any { when false -> previous }
 }"""
-    seen = play(text, crowd(60), steps=2, ways=FAST)
-    drawn = [(x, y) for x, y in zip(seen["x"], seen["y"], strict=True) if x > 0]
+    history = play(text, crowd(60), steps=2, option_sets=FAST)
+    drawn = [(x, y) for x, y in zip(history["x"], history["y"], strict=True) if x > 0]
     assert len(drawn) > 10 and all(x != y for x, y in drawn)
-    assert {n % 100 for n in seen["n"]} == {0, 1, 10} and seen.states(0)[0] == "p"
+    assert {n % 100 for n in history["n"]} == {0, 1, 10} and history.states(0)[0] == "p"
     late = play(text.replace("500 %/s", "0 %/s"), steps=4)
     assert late.states() == ["p", "p", "p", "q", "q"] and late["n"] == [100]
 
 
 def test_a_change_into_a_state_that_kills_is_counted():
     text = "species a { start s\nstate s { when after 2 step -> gone }\nstate gone { enter { die }; when false -> s } }"
-    seen = play(text, crowd(at=[(0, 0), (9, 0), (18, 0)]), steps=4)
-    assert len(seen.world.populations["a"]) == 0 and seen.world.transitions == {"a.s->gone": 3}
+    history = play(text, crowd(at=[(0, 0), (9, 0), (18, 0)]), steps=4)
+    assert len(history.world.populations["a"]) == 0 and history.world.transitions == {"a.s->gone": 3}

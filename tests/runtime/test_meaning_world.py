@@ -17,11 +17,12 @@ STILL = "on spawn { velocity = vector(0 mm/s, 0 mm/s, 0 mm/s); heading = vector(
 GROUND = {"ground": MeshData(*meshes.grid(400.0, 10))}
 
 
-def values(expressions: dict[str, str], *crowds, more: str = "", steps: int = 1, **setting):
+def values(expressions: dict[str, str], *crowds, attributes: str = "", steps: int = 1, **setting):
     """Numbers that the agents of one species work out in a step, standing still and facing along x."""
     lines = "".join(f"{name} = 0\n" for name in expressions)
     body = "; ".join(f"{name} = {text}" for name, text in expressions.items())
-    text = f"species a {{ {more}\n{lines}{STILL}start s\nstate s {{ {body}; when false -> t }}\nstate t {{ when false -> s }} }}"
+    text = f"species a {{ {attributes}\n{lines}{STILL}start s\n"
+    text += f"state s {{ {body}; when false -> t }}\nstate t {{ when false -> s }} }}"
     return play(text, *crowds, steps=steps, **setting)
 
 
@@ -45,23 +46,23 @@ def test_reductions_over_neighbours():
         "closest_one": "nearest(neighbours(8 mm)).weight",
         "everybody": "count(n in a: n.weight >= 0)",
     }
-    seen = values(expressions, LINE, more="weight = id")
+    history = values(expressions, LINE, attributes="weight = id")
     # who sees whom within 8 mm: 0: 1 2 4; 1: 0 2 4 (5 mm); 2: 0 1 (4 is 8.06 away); 3: nobody; 4: 0 1
-    assert seen["how_many"] == [3, 3, 2, 0, 2]
-    assert seen["far_ones"] == [2, 2, 2, 0, 2]
-    assert seen["some"] == [1, 1, 0, 0, 0]
-    assert seen["all_of"] == [1, 0, 0, 1, 0]
-    assert seen["added"] == [7, 6, 1, 0, 1]
-    assert seen["middle"] == pytest.approx([7 / 3, 2, 0.5, 0, 0.5])
-    assert seen["least"] == [1, 0, 0, 99, 0] and seen["most"] == [4, 4, 1, -1, 1]
-    assert seen["ahead"] == [2, 1, 0, 0, 0]
-    assert seen["heaviest"] == [4, 4, 1, 0, 1] and seen["closest_one"] == [1, 0, 1, 0, 0]
-    assert seen["everybody"] == [4] * 5
+    assert history["how_many"] == [3, 3, 2, 0, 2]
+    assert history["far_ones"] == [2, 2, 2, 0, 2]
+    assert history["some"] == [1, 1, 0, 0, 0]
+    assert history["all_of"] == [1, 0, 0, 1, 0]
+    assert history["added"] == [7, 6, 1, 0, 1]
+    assert history["middle"] == pytest.approx([7 / 3, 2, 0.5, 0, 0.5])
+    assert history["least"] == [1, 0, 0, 99, 0] and history["most"] == [4, 4, 1, -1, 1]
+    assert history["ahead"] == [2, 1, 0, 0, 0]
+    assert history["heaviest"] == [4, 4, 1, 0, 1] and history["closest_one"] == [1, 0, 1, 0, 0]
+    assert history["everybody"] == [4] * 5
 
 
 def test_items_by_place_and_by_condition():
     food = (item("f", 10, 0, 2, load=0), item("g", 30, 0, 2, load=4), item("h", 50, 0, 2, load=9))
-    seen = values(
+    history = values(
         {
             "any_way": "distance(nearest(food)) / 1 mm",
             "full": "distance(nearest(food, with: load > 0)) / 1 mm",
@@ -86,12 +87,12 @@ def test_items_by_place_and_by_condition():
         "none_load": [1, 1], "touch": [0, 1], "shade": [0.5, 1], "nowhere": [0, 0], "endless": [1, 1], "way": [1, 1],
         "between": [1, 1], "second": [4, 4],
     }  # fmt: skip
-    assert {name: pytest.approx(seen[name]) for name in expected} == expected
+    assert {name: pytest.approx(history[name]) for name in expected} == expected
 
 
 def test_rays_feelers_touching_and_slope():
     rock = meshes.box((10, -5, -50), (20, 5, 50))
-    seen = values(
+    history = values(
         {
             "straight": "ray(heading, reach: 30 mm, on: stones).distance / 1 mm",
             "facing": "dot(ray(heading, reach: 30 mm, on: stones).normal, heading)",
@@ -108,16 +109,16 @@ def test_rays_feelers_touching_and_slope():
         surfaces=GROUND,
         obstacles={"stones": MeshData(*rock)},
     )
-    assert seen["straight"] == pytest.approx([10, 1]) and seen["facing"] == pytest.approx([-1, -1])
-    assert seen["short"] == [0, 1] and seen["feel"] == [1, 3] and seen["all_feel"] == [3, 3]
-    assert seen["mean_way"] == pytest.approx([(10 + 20 * math.sqrt(2)) / 3, (1 + 2 * math.sqrt(2)) / 3], rel=1e-4)
-    assert (seen["against"], seen["stands"]) == ([0, 1], [1, 1])
-    assert seen["room"] == pytest.approx([10, 1]) and seen["flat"] == pytest.approx([0, 0], abs=1e-3)
+    assert history["straight"] == pytest.approx([10, 1]) and history["facing"] == pytest.approx([-1, -1])
+    assert history["short"] == [0, 1] and history["feel"] == [1, 3] and history["all_feel"] == [3, 3]
+    assert history["mean_way"] == pytest.approx([(10 + 20 * math.sqrt(2)) / 3, (1 + 2 * math.sqrt(2)) / 3], rel=1e-4)
+    assert (history["against"], history["stands"]) == ([0, 1], [1, 1])
+    assert history["room"] == pytest.approx([10, 1]) and history["flat"] == pytest.approx([0, 0], abs=1e-3)
 
 
 def test_curves_and_numbers_of_the_run():
     road = np.array([[0.0, 0, 10], [100, 0, 10]])
-    seen = values(
+    history = values(
         {
             "off": "distance(way_in) / 1 mm",
             "along": "dot(tangent(way_in), heading)",
@@ -131,8 +132,12 @@ def test_curves_and_numbers_of_the_run():
         first_frame=4,
         steps=3,
     )
-    assert (seen["off"], seen["along"], seen["side"]) == (pytest.approx([10]), pytest.approx([1]), pytest.approx([10]))
-    assert seen["now"] == pytest.approx([7 + 7]) and seen["mixed"] == [12] and seen["turned"] == pytest.approx([30], rel=1e-4)
+    assert (history["off"], history["along"], history["side"]) == (pytest.approx([10]), pytest.approx([1]), pytest.approx([10]))
+    assert (
+        history["now"] == pytest.approx([7 + 7])
+        and history["mixed"] == [12]
+        and history["turned"] == pytest.approx([30], rel=1e-4)
+    )
 
 
 # --- fields -----------------------------------------------------------------------------------------------------------
@@ -155,14 +160,14 @@ def test_what_is_laid_is_there_whole_in_the_next_step_and_fades_from_then_on():
     reads = "; ".join(f"x{n} = {n}" for n in names)
     lays = "; ".join(f"deposit {n} {'1 + id' if n == 'most' else 4}" for n in names)
     text += f"start p\nstate p {{ {reads}; when frame == 3 -> q {{ {lays} }} }}\nstate q {{ {reads}; when false -> p }} }}"
-    seen = play(text, crowd(3), steps=14, world=FIELDS, surfaces=GROUND)
-    first, last = ({n: seen.every(f"x{n}")[k] for n in names} for k in (4, 14))
+    history = play(text, crowd(3), steps=14, world=FIELDS, surfaces=GROUND)
+    first, last = ({n: history.every(f"x{n}")[k] for n in names} for k in (4, 14))
     assert first.pop("soon") == pytest.approx(12 * (1 - 20 / 6 * 100 * 0.1 / 100), rel=1e-5)
     assert first == {"half": 12, "kept": 12, "gone": 12, "most": 3, "full": 5, "wide": 12}
-    assert all(seen.every(f"x{n}")[3] == 0 for n in names)
+    assert all(history.every(f"x{n}")[3] == 0 for n in names)
     assert last["half"] == pytest.approx(6) and last["kept"] == pytest.approx(12 * 0.9**10)
     assert last["gone"] == pytest.approx(12 * math.exp(-0.5), rel=1e-5) and last["full"] == 5
-    assert seen.every("xwide")[5] == pytest.approx(12 * (1 - 4 * 100 * 0.1 / 100), rel=1e-5)
+    assert history.every("xwide")[5] == pytest.approx(12 * (1 - 4 * 100 * 0.1 / 100), rel=1e-5)
 
 
 def test_a_field_has_a_starting_value_also_for_those_just_born():
@@ -171,19 +176,19 @@ on spawn { seen = half }
 start p
 state p { when frame == 3 -> q { spawn a } }
 state q { when age > 100 s -> p } }"""
-    seen = play(text, crowd(2, at=[(0, 0), (90, 0)]), steps=4, world=FIELDS, surfaces=GROUND,
+    history = play(text, crowd(2, at=[(0, 0), (90, 0)]), steps=4, world=FIELDS, surfaces=GROUND,
                 field_start={"half": FieldStart(2.0, (0.0, 0.0, 0.0), 50.0)})  # fmt: skip
-    assert seen["seen"] == pytest.approx([2, 0, 2 * 2**-0.3, 0])
+    assert history["seen"] == pytest.approx([2, 0, 2 * 2**-0.3, 0])
 
 
 # --- wishes -----------------------------------------------------------------------------------------------------------
 
 
-def pushes(layers: str, more: str = "", order: list[str] | None = None):
-    text = f"{more}species a {{ {STILL}start s\nstate s {{ steer vector(0.5, 0, 0); when false -> t }}\n"
+def pushes(layers: str, behaviours: str = "", order: list[str] | None = None):
+    text = f"{behaviours}species a {{ {STILL}start s\nstate s {{ steer vector(0.5, 0, 0); when false -> t }}\n"
     text += f"state t {{ when false -> s }}\nlayers {layers} }}"
-    seen = play(text, steps=1, orders=None if order is None else {"a": order})
-    return [seen[f"push.{axis}"][0] for axis in "xz"]
+    history = play(text, steps=1, orders=None if order is None else {"a": order})
+    return [history[f"push.{axis}"][0] for axis in "xz"]
 
 
 def test_a_push_is_cut_to_what_is_left():
@@ -199,10 +204,10 @@ def test_a_push_is_cut_to_what_is_left():
     assert pushes("sum { vector(0, 0, 3); state }") == pytest.approx([0.5 / math.hypot(0.5, 3), 3 / math.hypot(0.5, 3)])
 
 
-def test_a_scene_may_order_the_layers_anew():
-    more = "behaviour north() -> push { vector(0, 0, 0.8) }\n"
-    assert pushes("{ north(); state }", more) == pytest.approx([0.2, 0.8])
-    assert pushes("{ north(); state }", more, ["state", "north"]) == pytest.approx([0.5, 0.5])
+def test_a_scene_may_reorder_the_layers():
+    behaviours = "behaviour north() -> push { vector(0, 0, 0.8) }\n"
+    assert pushes("{ north(); state }", behaviours) == pytest.approx([0.2, 0.8])
+    assert pushes("{ north(); state }", behaviours, ["state", "north"]) == pytest.approx([0.5, 0.5])
 
 
 @pytest.mark.parametrize("substeps", [1, 3])
@@ -219,10 +224,12 @@ on spawn {{ velocity = vector(20 mm/s, 0 mm/s, 0 mm/s); heading = vector(1, 0, 0
 start s
 state s {{ steer match(vector(0 mm/s, 0 mm/s, -20 mm/s)); when false -> t }}
 state t {{ when false -> s }} }}"""
-    seen = play(text, crowd(), crowd(species="b"), steps=5, substeps=substeps)
-    assert [seen.at(f"velocity.{a}", 1)[0] for a in "xz"] == pytest.approx([0, -20], abs=1e-4)
-    way = [math.degrees(math.atan2(-seen.at("velocity.z", k, "b")[0], seen.at("velocity.x", k, "b")[0])) for k in range(6)]
-    assert way == pytest.approx([0, 9, 18, 27, 36, 45], abs=0.1)
+    history = play(text, crowd(), crowd(species="b"), steps=5, substeps=substeps)
+    assert [history.at(f"velocity.{a}", 1)[0] for a in "xz"] == pytest.approx([0, -20], abs=1e-4)
+    angles = [
+        math.degrees(math.atan2(-history.at("velocity.z", k, "b")[0], history.at("velocity.x", k, "b")[0])) for k in range(6)
+    ]
+    assert angles == pytest.approx([0, 9, 18, 27, 36, 45], abs=0.1)
 
 
 def test_velocity_and_heading_are_set_in_enter_and_in_handlers():
@@ -233,10 +240,10 @@ on ping { velocity = vector(0 mm/s, 0 mm/s, 7 mm/s) }
 start s
 state s { when frame == 2 -> t { emit ping } }
 state t { enter { velocity = vector(5 mm/s, 0 mm/s, 0 mm/s); heading = vector(0, 0, 4) }; when false -> s } }"""
-    seen = play(text, steps=4)
-    assert seen.every("velocity.x") == pytest.approx([0, 0, 5, 0, 0])
-    assert seen.every("velocity.z") == pytest.approx([0, 0, 0, 7, 7])
-    assert seen.every("position.x")[-1] == pytest.approx(seen.every("position.x")[0] + 0.5)
+    history = play(text, steps=4)
+    assert history.every("velocity.x") == pytest.approx([0, 0, 5, 0, 0])
+    assert history.every("velocity.z") == pytest.approx([0, 0, 0, 7, 7])
+    assert history.every("position.x")[-1] == pytest.approx(history.every("position.x")[0] + 0.5)
 
 
 # --- births and deaths ------------------------------------------------------------------------------------------------
@@ -257,10 +264,10 @@ state p {
   when frame == 3 and id == 5 -> q { spawn a; spawn a }
 }
 state q { when age > 100 s -> p } }"""
-    seen = play(text, crowd(10, radius=5, group=3), steps=4)
-    assert seen["id"] == [4, 5, 6, 7, 8, 9, 10, 11]
-    assert seen["seen"] == [9] * 6 + [7] * 2 and seen["others"] == [0] * 6 + [5 + 6 + 7 + 8 + 9 + 10] * 2
-    assert seen["at_birth"] == [0] * 8 and seen["group"] == [3] * 8 and seen["now"] == [7, 9] + [7] * 6
+    history = play(text, crowd(10, radius=5, group=3), steps=4)
+    assert history["id"] == [4, 5, 6, 7, 8, 9, 10, 11]
+    assert history["seen"] == [9] * 6 + [7] * 2 and history["others"] == [0] * 6 + [5 + 6 + 7 + 8 + 9 + 10] * 2
+    assert history["at_birth"] == [0] * 8 and history["group"] == [3] * 8 and history["now"] == [7, 9] + [7] * 6
 
 
 def test_who_dies_at_birth_has_given_and_raised_what_it_said_before():
@@ -274,10 +281,10 @@ on ping { heard += 1 }
 start p
 state p { when age > 100 s -> q }
 state q { when age > 100 s -> p } }"""
-    given = {"surfaces": {"ground": MeshData(*meshes.terrain(100.0, 4))}, "items": {"nest": (item("n", 0, 0),)}}
-    seen = play(text, crowd(3, radius=5), crowd(2, species="b", radius=5), steps=1, **given)
-    assert seen.at("id", 0) == [] and seen.amounts("nest") == [3] and seen.at("heard", 1, "b") == [1, 1]
-    assert seen.world.fields["trail"].values.sum() == 3
+    setting_arguments = {"surfaces": {"ground": MeshData(*meshes.terrain(100.0, 4))}, "items": {"nest": (item("n", 0, 0),)}}
+    history = play(text, crowd(3, radius=5), crowd(2, species="b", radius=5), steps=1, **setting_arguments)
+    assert history.at("id", 0) == [] and history.amounts("nest") == [3] and history.at("heard", 1, "b") == [1, 1]
+    assert history.world.fields["trail"].values.sum() == 3
 
 
 def test_references_to_the_dead_become_none_and_all_may_die():
@@ -295,25 +302,25 @@ on spawn { prey = nearest(a) }
 start hunt
 state hunt { when no prey -> rest }
 state rest { when nearest(a) -> hunt } }"""
-    seen = play(text, crowd(at=[(0, 0), (9, 0), (5, 0)]), crowd(species="b", at=[(6, 0), (0, 1)]), steps=7)
-    assert seen.at("pal", 0) == [2, 2, 1] and seen.at("pal", 3) == [-1, -1]
-    assert seen.at("has", 3)[0] > 1 and seen.at("has", 4) == [0, 0] and -1 not in seen.at("had", 0)
-    assert seen.at("prey", 2, "b") == [2, 0] and seen.at("prey", 3, "b") == [-1, 0]
-    assert [seen.at("main.state", k, "b") for k in (3, 4, 5)] == [[0, 0], [1, 0], [0, 0]]
-    assert seen["id"] == [] and seen.at("main.state", -1, "b") == [1, 1]
+    history = play(text, crowd(at=[(0, 0), (9, 0), (5, 0)]), crowd(species="b", at=[(6, 0), (0, 1)]), steps=7)
+    assert history.at("pal", 0) == [2, 2, 1] and history.at("pal", 3) == [-1, -1]
+    assert history.at("has", 3)[0] > 1 and history.at("has", 4) == [0, 0] and -1 not in history.at("had", 0)
+    assert history.at("prey", 2, "b") == [2, 0] and history.at("prey", 3, "b") == [-1, 0]
+    assert [history.at("main.state", k, "b") for k in (3, 4, 5)] == [[0, 0], [1, 0], [0, 0]]
+    assert history["id"] == [] and history.at("main.state", -1, "b") == [1, 1]
 
 
 def test_a_spawn_in_each_step_stops_at_the_cap(monkeypatch):
     monkeypatch.setattr(limits, "AGENTS", 20)
     text = "species a { start p\nstate p { when true -> q { spawn a } }\nstate q { when true -> p { spawn a } } }"
-    seen = play(text, crowd(1), steps=7)
-    assert [len(frame["a"]["id"]) for frame in seen.frames] == [1, 2, 4, 8, 16, 20, 20, 20]
-    assert seen.world.faults.refused_births == 12 + 20 + 20 and seen["id"] == list(range(20))
+    history = play(text, crowd(1), steps=7)
+    assert [len(frame["a"]["id"]) for frame in history.frames] == [1, 2, 4, 8, 16, 20, 20, 20]
+    assert history.world.faults.refused_births == 12 + 20 + 20 and history["id"] == list(range(20))
 
 
 @pytest.mark.parametrize("count", [0, 1, 2])
-def test_nobody_one_and_two_on_a_point(count):
-    seen = values(
+def test_no_one_and_two_agents_on_a_point(count):
+    history = values(
         {
             "near": "count(neighbours(10 mm))",
             "way": "length(sum(n in neighbours(10 mm): direction(n, to: self)))",
@@ -322,7 +329,7 @@ def test_nobody_one_and_two_on_a_point(count):
         crowd(count),
         steps=2,
     )
-    assert seen["near"] == [count - 1] * count and seen["way"] == [0] * count and seen["off"] == [0] * count
+    assert history["near"] == [count - 1] * count and history["way"] == [0] * count and history["off"] == [0] * count
 
 
 # --- faults -----------------------------------------------------------------------------------------------------------
@@ -338,29 +345,29 @@ def test_nobody_one_and_two_on_a_point(count):
         ("x += log(-size / 1 mm) / 1 s", "x", "-size / 1 mm"),
     ],
 )
-def test_a_fault_is_told_in_the_words_of_the_text_and_nothing_is_kept(line, what, operand):
+def test_a_fault_is_reported_in_the_words_of_the_text_and_nothing_is_stored(line, what, operand):
     text = f"species a {{ x = 7\nv = vector(0, 0, 0)\nstart s\nstate s {{ {line}; when false -> t }}\n"
     text += "state t { when false -> s } }"
-    for way in (Options(), Options(backend="reference")):
+    for options in (Options(), Options(backend="reference")):
         with pytest.raises(FaultStop) as stop:
-            play(text, crowd(3), steps=2, ways=[way])
+            play(text, crowd(3), steps=2, option_sets=[options])
         fault = stop.value.fault
         assert (fault.what, fault.agent, fault.frame) == (what, 0, 1) and fault.span.text in line
         assert any(operand in text.strip("()") for text, _ in fault.operands), fault
-    ways = [Options(on_fault="quarantine"), Options(on_fault="quarantine", backend="reference", shuffle_rows=1)]
-    seen = play(text, crowd(3), steps=3, ways=ways)
-    assert seen["x"] == [7, 7, 7] and seen.world.faults.count == 3 and seen.world.populations["a"].quarantined.all()
+    option_sets = [Options(on_fault="quarantine"), Options(on_fault="quarantine", backend="reference", shuffle_rows=1)]
+    history = play(text, crowd(3), steps=3, option_sets=option_sets)
+    assert history["x"] == [7, 7, 7] and history.world.faults.count == 3 and history.world.populations["a"].quarantined.all()
 
 
-def test_a_fault_at_birth_is_told_of_the_one_that_was_born():
+def test_a_fault_at_birth_names_the_agent_that_was_born():
     text = """species a { x = 0
 on spawn { x = 1 / (id - 3) }
 start p
 state p { when frame == 3 and id == 1 -> q { spawn a } }
 state q { when age > 100 s -> p } }"""
-    for way in (Options(), Options(backend="reference", shuffle_rows=1)):
+    for options in (Options(), Options(backend="reference", shuffle_rows=1)):
         with pytest.raises(FaultStop) as stop:
-            play(text, crowd(3), steps=6, ways=[way])
+            play(text, crowd(3), steps=6, option_sets=[options])
         assert (stop.value.fault.agent, stop.value.fault.frame, stop.value.fault.what) == (3, 3, "x")
         assert ("(id - 3)", "0") in stop.value.fault.operands
 
@@ -373,8 +380,8 @@ state s { x = count(n in neighbours(50 mm): sqrt(-n.size / 1 mm) > 0)
   when not (sqrt(-size / 1 mm) > 0) -> u }
 state t { when false -> s }
 state u { when false -> s } }"""
-    seen = play(text, crowd(4, radius=5), steps=2)
-    assert seen["main.state"] == [2] * 4 and seen["x"] == [0] * 4
+    history = play(text, crowd(4, radius=5), steps=2)
+    assert history["main.state"] == [2] * 4 and history["x"] == [0] * 4
 
 
 # --- decision 22 ------------------------------------------------------------------------------------------------------
@@ -390,12 +397,12 @@ state rest { steer halt(); when after uniform(0.2 s, 0.6 s) -> go } }
 
 
 def test_more_agents_and_another_species_change_nothing_for_the_others():
-    alone = play(STROLL, crowd(12, radius=50), steps=12, seed=5, ways=FAST)
-    more = play(STROLL, crowd(30, radius=50), steps=12, seed=5, ways=FAST)
+    alone = play(STROLL, crowd(12, radius=50), steps=12, seed=5, option_sets=FAST)
+    larger = play(STROLL, crowd(30, radius=50), steps=12, seed=5, option_sets=FAST)
     text = STROLL + f"species b {{ {IDLE} }}\n"
-    other = play(text, crowd(5, species="b", radius=50), crowd(12, radius=50), steps=12, seed=5, ways=FAST)
+    other = play(text, crowd(5, species="b", radius=50), crowd(12, radius=50), steps=12, seed=5, option_sets=FAST)
     for register in ("position.x", "velocity.z", "heading.x", "luck", "main.state", "main.time_in_state"):
-        assert more[register][:12] == alone[register] == other[register]
+        assert larger[register][:12] == alone[register] == other[register]
     assert len(set(alone["main.state"])) == 2
-    fast = play(STROLL, crowd(12, radius=50), steps=12, seed=5, ways=FAST, params={"a.dash": 40.0})
+    fast = play(STROLL, crowd(12, radius=50), steps=12, seed=5, option_sets=FAST, params={"a.dash": 40.0})
     assert fast["luck"] == alone["luck"] and fast["position.x"] != alone["position.x"]

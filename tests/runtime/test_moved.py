@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from meaning import WAYS, crowd, play
+from meaning import OPTION_SETS, crowd, play
 from plan_text import plan_of, program_of
 
 from antdsl.passes import optimise
@@ -13,33 +13,45 @@ from antdsl.reload import take_over
 from antdsl.runtime import Options, World, bind, checkpoint, restore, state_hash, step
 from antdsl.scene.setting import Setting
 
-EVERY_WAY = (*WAYS, Options(backend="native", wait_for_code=True, chunk=16, shuffle_rows=5))
+EVERY_WAY = (*OPTION_SETS, Options(backend="native", wait_for_code=True, chunk=16, shuffle_rows=5))
 # Trunks of balls are as wide as they are long: two of 10 mm touch where their places are 10 mm apart.
 BALL = "size 10 mm\nmax_speed 40 mm/s\nresponse 0.01 s\nfar = 0 mm\n"
 STILL = "on spawn { velocity = 0 * velocity; heading = vector(1, 0, 0) }\n"
 RESTING = f"species prey {{ {BALL} {STILL} start s\nstate s {{ steer 0 * heading; far = far + moved }} }}"
 
 
-def run(places: list[tuple[float, float]], steps: int, text: str = RESTING, contacts: str = "hard", **more: object) -> object:
-    return play(text, crowd(species="prey", at=places), steps=steps, species="prey", ways=EVERY_WAY, contacts=contacts, **more)
+def run(
+    points: list[tuple[float, float]], steps: int, text: str = RESTING, contacts: str = "hard", **setting_arguments: object
+) -> object:
+    return play(
+        text,
+        crowd(species="prey", at=points),
+        steps=steps,
+        species="prey",
+        option_sets=EVERY_WAY,
+        contacts=contacts,
+        **setting_arguments,
+    )
 
 
 def test_who_rests_has_moved_as_far_as_others_have_pushed_it() -> None:
-    seen = run([(-4, 0), (4, 0), (60, 0)], 6)
-    place, moved = np.array(seen.every("position.x", 0)), np.array(seen.every("moved", 0))
+    history = run([(-4, 0), (4, 0), (60, 0)], 6)
+    place, moved = np.array(history.every("position.x", 0)), np.array(history.every("moved", 0))
     assert np.abs(np.diff(place)) == pytest.approx(moved[1:], abs=1e-5), "to the way it has gone in that step"
     assert moved[0] == 0 and 0.5 < moved[1:].sum() < 1.5 and moved[-1] == 0
-    assert seen.every("moved", 2) == [0] * 7, "whom nobody pushes"
-    assert np.array(seen.every("far", 0))[1:] == pytest.approx(np.cumsum(moved)[:-1], abs=1e-6), "a program sees the step before"
+    assert history.every("moved", 2) == [0] * 7, "whom nobody pushes"
+    assert np.array(history.every("far", 0))[1:] == pytest.approx(np.cumsum(moved)[:-1], abs=1e-6), (
+        "a program sees the step before"
+    )
 
 
 def test_pushes_of_substeps_add() -> None:
-    whole = run([(-4, 0), (4, 0)], 6, substeps=3)
-    place, moved = np.array(whole.every("position.x", 0)), np.array(whole.every("moved", 0))
+    history = run([(-4, 0), (4, 0)], 6, substeps=3)
+    place, moved = np.array(history.every("position.x", 0)), np.array(history.every("moved", 0))
     assert np.abs(np.diff(place)) == pytest.approx(moved[1:], abs=1e-5) and moved.max() > 0.3
 
 
-def test_nobody_is_moved_where_bodies_take_no_room() -> None:
+def test_no_agent_is_moved_where_bodies_take_no_room() -> None:
     assert run([(-4, 0), (4, 0)], 4, contacts="off").every("moved", 0) == [0] * 5
 
 
@@ -50,9 +62,9 @@ WALL = f"""species prey {{ {BALL} mass if id == 0 then 1000 g else 1 g
 
 
 def test_who_is_only_stopped_is_not_moved() -> None:
-    seen = run([(0, 0), (-25, 0)], 25, WALL)
-    assert seen.at("position.x", -1)[1] == pytest.approx(-10, abs=0.6), "it has come up to the other one and stands"
-    assert max(seen.every("moved", 1)) < 0.02 and max(seen.every("moved", 0)) < 1e-3
+    history = run([(0, 0), (-25, 0)], 25, WALL)
+    assert history.at("position.x", -1)[1] == pytest.approx(-10, abs=0.6), "it has come up to the other one and stands"
+    assert max(history.every("moved", 1)) < 0.02 and max(history.every("moved", 0)) < 1e-3
 
 
 TURNING = f"""species prey {{ {BALL} mass if id == 0 then 1000 g else 1 g
@@ -70,16 +82,18 @@ TURNING = f"""species prey {{ {BALL} mass if id == 0 then 1000 g else 1 g
 
 
 def test_only_who_was_pushed_turns_away_at_once() -> None:
-    seen = run([(-14, 0), (0, 4)], 12, TURNING)
-    heading = [np.array([seen.at(f"heading.{axis}", frame) for axis in "xz"]).T for frame in range(13)]
-    noticed = next(frame for frame in range(13) if seen.at("far", frame)[1] > 0)
-    assert seen.at("far", noticed)[1] == seen.at("moved", noticed - 1)[1], "of the step before"
+    history = run([(-14, 0), (0, 4)], 12, TURNING)
+    heading = [np.array([history.at(f"heading.{axis}", frame) for axis in "xz"]).T for frame in range(13)]
+    noticed = next(frame for frame in range(13) if history.at("far", frame)[1] > 0)
+    assert history.at("far", noticed)[1] == history.at("moved", noticed - 1)[1], "of the step before"
     assert heading[noticed - 1][1].tolist() == [0, -1], "as it stood"
-    way = np.array([seen.at("position.x", noticed - 1)[1], 0]) - [seen.at("position.x", noticed - 1)[0], 0]
-    way = np.array([way[0], 4.0])
-    assert heading[noticed][1] == pytest.approx(way / np.linalg.norm(way), abs=0.1), "away from the other, at once"
+    displacement = np.array([history.at("position.x", noticed - 1)[1], 0]) - [history.at("position.x", noticed - 1)[0], 0]
+    displacement = np.array([displacement[0], 4.0])
+    assert heading[noticed][1] == pytest.approx(displacement / np.linalg.norm(displacement), abs=0.1), (
+        "away from the other, at once"
+    )
     assert np.abs(np.array([h[0] for h in heading]) - [1, 0]).max() < 0.05, "who pushes is not turned"
-    assert max(seen.every("far", 0)) < 0.01
+    assert max(history.every("far", 0)) < 0.01
 
 
 def pressed(options: Options, text: str = RESTING) -> World:
@@ -91,33 +105,33 @@ def pressed(options: Options, text: str = RESTING) -> World:
 
 
 def test_a_checkpoint_and_a_reload_know_it() -> None:
-    made = pressed(Options(backend="numpy"))
+    original = pressed(Options(backend="numpy"))
     for _ in range(8):
-        step(made)
-    moved = made.populations["prey"].now["moved"]
+        step(original)
+    moved = original.populations["prey"].now["moved"]
     assert np.count_nonzero(moved) > 10
-    kept = checkpoint(made)
-    assert kept["species.prey.register.moved"].tobytes() == moved.tobytes()
+    saved = checkpoint(original)
+    assert saved["species.prey.register.moved"].tobytes() == moved.tobytes()
     again = pressed(Options(backend="native", wait_for_code=True, shuffle_rows=2))
-    restore(again, kept)
+    restore(again, saved)
     hashes = []
-    for world in (made, again):
+    for world in (original, again):
         hashes.append([])
         for _ in range(8):
             step(world)
             hashes[-1].append(state_hash(world))
     assert hashes[0] == hashes[1]
     edited = optimise(plan_of(RESTING.replace("far + moved", "far + 2 * moved")))
-    after, _ = take_over(made, edited, made.setting)
-    assert np.array_equal(np.sort(after.populations["prey"].now["moved"]), np.sort(made.populations["prey"].now["moved"]))
+    reloaded, _ = take_over(original, edited, original.setting)
+    assert np.array_equal(np.sort(reloaded.populations["prey"].now["moved"]), np.sort(original.populations["prey"].now["moved"]))
 
 
 def test_only_programs_that_ask_have_it_and_who_asks_of_others_sees_it() -> None:
     plain = plan_of(RESTING.replace("; far = far + moved", "; far = far + 1 mm"))
     assert "moved" not in plain.species["prey"].registers
     other = RESTING.replace("far = far + moved", "far = max(n in neighbours(20 mm): n.moved)")
-    seen = run([(-4, 0), (4, 0)], 3, other)
-    assert seen.every("far", 0)[2] == seen.every("moved", 1)[1] > 0
+    history = run([(-4, 0), (4, 0)], 3, other)
+    assert history.every("far", 0)[2] == history.every("moved", 1)[1] > 0
 
 
 def test_it_cannot_be_set() -> None:

@@ -64,25 +64,25 @@ def folder(tmp_path: Path) -> Path:
     return tmp_path
 
 
-def told(folder: Path, wish: str = "steer stand()", scene: str = SCENE, **more: str) -> tuple[Shot | None, Report]:
+def open_with(folder: Path, wish: str = "steer stand()", scene: str = SCENE, **additions: str) -> tuple[Shot | None, Report]:
     text = STAND.replace("WISH", wish)
     if wish == "steer stand()":
         text = text.replace("; steer stand()", "")
         text = text.replace("max_speed 20 mm/s", "max_speed 0.00001 mm/s")
     (folder / "stand.ant").write_text(text)
     for key in ("GROUND", "WALL", "WAY", "FOOD"):
-        scene = scene.replace(f" {key}", ", " + more[key.lower()] if key.lower() in more else "")
+        scene = scene.replace(f" {key}", ", " + additions[key.lower()] if key.lower() in additions else "")
     (folder / "scene.yaml").write_text(scene)
     return open_scene(folder / "scene.yaml")
 
 
-def shot(folder: Path, wish: str = "steer stand()", scene: str = SCENE, **more: str) -> Shot:
-    found, report = told(folder, wish, scene, **more)
-    assert found is not None and not report.errors, report.errors
-    return found
+def shot(folder: Path, wish: str = "steer stand()", scene: str = SCENE, **additions: str) -> Shot:
+    opened_shot, report = open_with(folder, wish, scene, **additions)
+    assert opened_shot is not None and not report.errors, report.errors
+    return opened_shot
 
 
-def places(world: World) -> np.ndarray:
+def positions_by_id(world: World) -> np.ndarray:
     population = world.populations["stander"]
     return population.position[population.in_id_order()].copy()
 
@@ -104,23 +104,23 @@ def test_keys_go_evenly_and_hold_at_their_ends(folder: Path) -> None:
 
 
 def test_a_key_of_one_kind_leaves_the_other_as_it_is(folder: Path) -> None:
-    found = shot(folder, wall="keys: {1: {rotate: [0, 0, 0]}, 13: {rotate: [0, 90, 0]}}").setting
-    rest = found.obstacles["wall"].vertices
+    setting = shot(folder, wall="keys: {1: {rotate: [0, 0, 0]}, 13: {rotate: [0, 90, 0]}}").setting
+    rest = setting.obstacles["wall"].vertices
     assert np.allclose(rest.mean(axis=0), [500, 0, 0])
-    turned = found.moves.meshes["wall"].vertices(rest, 12)
+    turned = setting.moves.meshes["wall"].vertices(rest, 12)
     assert np.allclose(turned.mean(axis=0), [500, 0, 0]) and not np.allclose(turned, rest)
 
 
 def test_moves_of_a_file_are_placed_by_its_entry() -> None:
     points = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0]])
-    bent = np.stack([points, points * 2])
-    ways = still(2)
-    ways[:, :, :3] *= 10
-    ways[1, :, 3] = (0, 0, 5)
-    moves = MeshMoves.free(bent).placed(ways)
-    rest = applied(ways[0], points)
+    vertex_frames = np.stack([points, points * 2])
+    poses = still(2)
+    poses[:, :, :3] *= 10
+    poses[1, :, 3] = (0, 0, 5)
+    moves = MeshMoves.free(vertex_frames).placed(poses)
+    rest = applied(poses[0], points)
     assert np.array_equal(moves.vertices(rest, 0), rest)
-    assert np.allclose(moves.vertices(rest, 1), applied(ways[1], points * 2))
+    assert np.allclose(moves.vertices(rest, 1), applied(poses[1], points * 2))
     assert np.array_equal(moves.take(np.array([1])).vertices(rest[[1]], 1), moves.vertices(rest, 1)[[1]])
 
 
@@ -146,20 +146,20 @@ def sequence(folder: Path, name: str, frames: range, place: Callable[[int], mesh
 
 def test_files_per_frame_move_a_mesh_and_are_inputs(folder: Path) -> None:
     sequence(folder, "wall", range(3, 14), lambda f: meshes.box((-10, -10 + f, -10), (10, 10 + f, 10)))
-    found = shot(folder, scene=SCENE.replace("wall.obj", "wall.###.obj"))
-    rest, moves = found.setting.obstacles["wall"].vertices, found.setting.moves
+    opened_shot = shot(folder, scene=SCENE.replace("wall.obj", "wall.###.obj"))
+    rest, moves = opened_shot.setting.obstacles["wall"].vertices, opened_shot.setting.moves
     heights = [moves.meshes["wall"].vertices(rest, k)[:, 1].mean() for k in (0, 1, 2, 3, 12)]
     assert np.allclose(heights, [3, 3, 3, 4, 13])
-    assert {"wall.003.obj", "wall.013.obj"} <= set(found.inputs)
+    assert {"wall.003.obj", "wall.013.obj"} <= set(opened_shot.inputs)
     (folder / "wall.013.obj").write_text((folder / "wall.013.obj").read_text() + "\n")
     again = shot(folder, scene=SCENE.replace("wall.obj", "wall.###.obj"))
-    assert found.inputs["wall.013.obj"] != again.inputs["wall.013.obj"]
+    assert opened_shot.inputs["wall.013.obj"] != again.inputs["wall.013.obj"]
 
 
-def test_mistakes_of_moving_things_are_told_at_their_place(folder: Path) -> None:
-    def only(scene: str = SCENE, **more: str) -> tuple[str, str]:
-        found, report = told(folder, scene=scene, **more)
-        assert found is None and len(report.errors) == 1, report.errors
+def test_mistakes_of_moving_things_are_reported_at_their_place(folder: Path) -> None:
+    def only(scene: str = SCENE, **additions: str) -> tuple[str, str]:
+        opened_shot, report = open_with(folder, scene=scene, **additions)
+        assert opened_shot is None and len(report.errors) == 1, report.errors
         assert report.errors[0].span is not None
         return report.errors[0].code, report.errors[0].span.text
 
@@ -188,7 +188,7 @@ def test_more_frames_than_memory_are_refused_before_they_are_read(folder: Path, 
 
     sequence(folder, "wall", range(1, 14), lambda f: meshes.box((-10, -10 + f, -10), (10, 10 + f, 10)))
     monkeypatch.setattr(limits, "MOVES_BYTES", 3000)
-    _, report = told(folder, scene=SCENE.replace("wall.obj", "wall.###.obj"))
+    _, report = open_with(folder, scene=SCENE.replace("wall.obj", "wall.###.obj"))
     assert [d.code for d in report.errors] == ["too-large"]
 
 
@@ -196,11 +196,11 @@ def test_more_frames_than_memory_are_refused_before_they_are_read(folder: Path, 
 
 
 def test_agents_ride_on_ground_that_moves(folder: Path) -> None:
-    found = shot(folder, ground=TURN)
-    first, moves = None, found.setting.moves
-    for world in simulate(found):
+    opened_shot = shot(folder, ground=TURN)
+    first, moves = None, opened_shot.setting.moves
+    for world in simulate(opened_shot):
         population = world.populations["stander"]
-        now = places(world)
+        now = positions_by_id(world)
         first = now if first is None else first
         # the ground is flat at first, so one turn and shift tell where its points are
         track = moves.meshes["ground"].tracks[0, world.frame - 1]
@@ -221,26 +221,30 @@ def test_walkers_on_moving_ground_never_leave_it_and_walk_as_on_still_ground(fol
     )
     for one, two in zip(simulate(resting), simulate(going), strict=True):
         shift = np.array([0, 0, 5.0 * (two.frame - 1)])
-        assert np.abs(places(one) + shift - places(two)).max() < 1e-4
+        assert np.abs(positions_by_id(one) + shift - positions_by_id(two)).max() < 1e-4
         population = two.populations["stander"]
         assert np.abs(two.ground.position(population.footing) - population.position).max() < 1e-9
 
 
-def test_ground_that_bends_carries_and_a_face_without_area_harms_nobody(folder: Path) -> None:
-    def bent(frame: int) -> meshes.Mesh:
+def test_ground_that_bends_carries_and_a_face_without_area_harms_no_agent(folder: Path) -> None:
+    def bend_mesh(frame: int) -> meshes.Mesh:
         flat = max(1 - frame / 8, 0)  # from frame 8 on it is a line
         return meshes.grid(100, 10, lambda x, z: 10 * np.sin(x / 20) * frame / 13)[0] * (1, 1, flat), meshes.grid(100, 10)[1]
 
-    sequence(folder, "ground", range(1, 14), bent)
-    found = shot(folder, "steer wander()", scene=SCENE.replace("ground.obj", "ground.###.obj").replace(", on: ground FOOD", ""))
-    for world in simulate(found):
+    sequence(folder, "ground", range(1, 14), bend_mesh)
+    opened_shot = shot(
+        folder, "steer wander()", scene=SCENE.replace("ground.obj", "ground.###.obj").replace(", on: ground FOOD", "")
+    )
+    for world in simulate(opened_shot):
         population = world.populations["stander"]
         for name in ("position", "velocity", "heading", "up"):
             assert np.isfinite(population.vector(name)).all(), (world.frame, name)
         assert np.abs(world.ground.position(population.footing) - population.position).max() < 1e-9
         assert (population.footing.face >= 0).all()
-        vertices = found.setting.moves.meshes["ground"].vertices(found.setting.surfaces["ground"].vertices, world.frame - 1)
-        assert places(world)[:, 2].max() <= vertices[:, 2].max() + 1e-9
+        vertices = opened_shot.setting.moves.meshes["ground"].vertices(
+            opened_shot.setting.surfaces["ground"].vertices, world.frame - 1
+        )
+        assert positions_by_id(world)[:, 2].max() <= vertices[:, 2].max() + 1e-9
 
 
 def test_a_platform_picks_up_who_walks_onto_it(folder: Path) -> None:
@@ -254,13 +258,13 @@ def test_a_platform_picks_up_who_walks_onto_it(folder: Path) -> None:
     walked = ground.move(foot, np.array([[20.0, 0, 0]]), np.array([[1.0, 0, 0]]), up, 4.0)
     assert walked.footing.mesh[0] == 1 and walked.position[0, 1] > 5, "up its side at 20 mm"
     foot = walked.footing
-    before = ground.position(foot)
+    previous_position = ground.position(foot)
     ground.pose({"lorry": lorry[0] + (70, 0, 3)})
-    assert np.allclose(ground.position(foot) - before, [[20, 0, 3]])
-    assert np.allclose(ground.rest_position(foot), before - (50, 0, 0))
+    assert np.allclose(ground.position(foot) - previous_position, [[20, 0, 3]])
+    assert np.allclose(ground.rest_position(foot), previous_position - (50, 0, 0))
 
 
-def test_posed_ground_is_ground_made_anew() -> None:
+def test_posed_ground_is_rebuilt_ground() -> None:
     """All that is worked out again for a mesh that moved, rays included, is what it would be at once; both walks agree."""
     draw = np.random.default_rng(5)
     hill, ball = meshes.terrain(160, 12), meshes.ball(18, (0, 6, 0), rings=8)
@@ -268,7 +272,7 @@ def test_posed_ground_is_ground_made_anew() -> None:
     posed = MovingGround({"hill": hill, "ball": ball}, ["ball"])
     posed.move(*_crowd(posed, draw, 5))  # what it keeps was made before it was posed
     posed.pose({"ball": bend})
-    anew = MeshGround({"hill": hill, "ball": (bend, ball[1])})
+    rebuilt = MeshGround({"hill": hill, "ball": (bend, ball[1])})
     for name in (
         "corner",
         "edge1",
@@ -284,10 +288,10 @@ def test_posed_ground_is_ground_made_anew() -> None:
         "smooth",
         "link",
     ):
-        assert np.allclose(getattr(posed._table, name), getattr(anew._table, name), atol=1e-12), name
+        assert np.allclose(getattr(posed._table, name), getattr(rebuilt._table, name), atol=1e-12), name
     for count in (300, 4000):  # by NumPy, and compiled where that can be had
-        given = _crowd(anew, np.random.default_rng(8), count)
-        one, two = posed.move(*given), anew.move(*given)
+        arguments = _crowd(rebuilt, np.random.default_rng(8), count)
+        one, two = posed.move(*arguments), rebuilt.move(*arguments)
         assert np.array_equal(one.footing.face, two.footing.face) and np.allclose(one.position, two.position, atol=1e-3)
         assert np.allclose(one.up, two.up, atol=1e-3)
 
@@ -302,42 +306,42 @@ def _crowd(ground: MeshGround, draw: np.random.Generator, count: int) -> tuple:
 
 
 def test_an_obstacle_pushes_who_is_in_its_way(folder: Path) -> None:
-    found = shot(folder, wall="keys: {1: {at: [-70, 0, 0]}, 13: {at: [10, 0, 0]}}")
-    rest, moves = found.setting.obstacles["wall"].vertices, found.setting.moves.meshes["wall"]
+    opened_shot = shot(folder, wall="keys: {1: {at: [-70, 0, 0]}, 13: {at: [10, 0, 0]}}")
+    rest, moves = opened_shot.setting.obstacles["wall"].vertices, opened_shot.setting.moves.meshes["wall"]
     start = None
-    for world in simulate(found):
-        here = places(world)
-        start = here if start is None else start
+    for world in simulate(opened_shot):
+        positions = positions_by_id(world)
+        start = positions if start is None else start
         box = moves.vertices(rest, world.frame - 1)
-        inside = ((here > box.min(axis=0) + 1e-3) & (here < box.max(axis=0) - 1e-3)).all(axis=1)
+        inside = ((positions > box.min(axis=0) + 1e-3) & (positions < box.max(axis=0) - 1e-3)).all(axis=1)
         assert not inside.any(), world.frame
-        assert np.abs(here[:, 1]).max() < 1e-9
+        assert np.abs(positions[:, 1]).max() < 1e-9
     in_way = (np.abs(start[:, 2]) < 9) & (start[:, 0] > -55) & (start[:, 0] < 15)
-    moved = np.linalg.norm(here - start, axis=1) > 0.5
+    moved = np.linalg.norm(positions - start, axis=1) > 0.5
     assert in_way.sum() >= 3 and moved[in_way].all()
     assert not moved[(np.abs(start[:, 2]) > 13)].any()
 
 
 def test_items_and_curves_are_read_where_they_are(folder: Path) -> None:
     apple = "keys: {1: {at: [30, 0, 0]}, 13: {at: [-30, 0, 24]}}"
-    way = "keys: {1: {at: [0, 0, 0]}, 13: {at: [0, 0, 48]}}"
-    found = shot(folder, food=apple, way=way)
-    for world in simulate(found):
+    curve_keys = "keys: {1: {at: [0, 0, 0]}, 13: {at: [0, 0, 48]}}"
+    opened_shot = shot(folder, food=apple, way=curve_keys)
+    for world in simulate(opened_shot):
         part = (world.frame - 1) / 12
         assert np.allclose(world.items["food"].position, [[30 - 60 * part, 0, 24 * part]])
-        assert np.allclose([world.items["food"].seen[axis][0] for axis in "xz"], [30 - 60 * part, 24 * part], atol=1e-5)
+        assert np.allclose([world.items["food"].visible_values[axis][0] for axis in "xz"], [30 - 60 * part, 24 * part], atol=1e-5)
         if world.frame > 1:  # what they felt in the last step is the distance as that began
-            before = (world.frame - 2) / 12 * 48
+            curve_z = (world.frame - 2) / 12 * 48
             population = world.populations["stander"]
             x, _, z = population.position.T
-            away = np.hypot(np.clip(x, 0, 50) - x, before - z)
+            away = np.hypot(np.clip(x, 0, 50) - x, curve_z - z)
             assert np.allclose(population.now["near"], away, atol=1e-3)
 
 
 def test_an_item_rides_on_its_surface_and_keys_lead_it_over_one(folder: Path) -> None:
     ridden = shot(folder, ground=TURN).setting
     track = ridden.moves.meshes["ground"].tracks[0]
-    assert np.allclose(ridden.moves.items["food"][:, 0], [applied(way, np.array([[30.0, 0, 0]]))[0] for way in track])
+    assert np.allclose(ridden.moves.items["food"][:, 0], [applied(pose, np.array([[30.0, 0, 0]]))[0] for pose in track])
     raised = shot(
         folder, ground="keys: {1: {at: [0, 0, 0]}, 13: {at: [0, 12, 0]}}", food="keys: {1: {at: [30, 0, 0]}, 13: {at: [0, 0, 0]}}"
     )
@@ -369,9 +373,9 @@ def test_scent_stays_on_the_ground_that_moves(folder: Path) -> None:
             f"antdsl: 1\nframes: 1..13\nworld:\n  ground: {{mesh: ground.obj{keys}}}\n"
             "crowd:\n  - {species: layer, from: trail.ant, count: 20, place: {radius: 15 mm}}\n"
         )
-        found, report = open_scene(folder / "scene.yaml")
-        assert found is not None and not report.errors, report.errors
-        runs.append(list(simulate(found))[-1])
+        opened_shot, report = open_scene(folder / "scene.yaml")
+        assert opened_shot is not None and not report.errors, report.errors
+        runs.append(list(simulate(opened_shot))[-1])
     fields = [world.fields["trail"].values for world in runs]
     assert fields[0].sum() > 1 and np.allclose(fields[0], fields[1], atol=0.02)
     smelled = [w.populations["layer"].now["smelled"][w.populations["layer"].in_id_order()] for w in runs]
@@ -388,40 +392,42 @@ ALL = {
 
 
 def test_hashes_are_the_same_for_all_ways_to_run(folder: Path) -> None:
-    found = shot(folder, "steer wander()", **ALL)
-    ways = (Options(), Options(backend="reference"), Options(chunk=7, threads=2), Options(shuffle_rows=4))
-    hashes = [[state_hash(world) for world in simulate(found, options)] for options in ways]
+    opened_shot = shot(folder, "steer wander()", **ALL)
+    option_sets = (Options(), Options(backend="reference"), Options(chunk=7, threads=2), Options(shuffle_rows=4))
+    hashes = [[state_hash(world) for world in simulate(opened_shot, options)] for options in option_sets]
     assert all(other == hashes[0] for other in hashes[1:]) and len(set(hashes[0])) == 13
 
 
 def test_a_checkpoint_goes_on_where_things_were(folder: Path) -> None:
-    found = shot(folder, "steer wander()", scene=SCENE.replace("frames:", "preroll: 3\nframes:"), **ALL)
-    run = simulate(found)
+    opened_shot = shot(folder, "steer wander()", scene=SCENE.replace("frames:", "preroll: 3\nframes:"), **ALL)
+    run = simulate(opened_shot)
     worlds = [next(run) for _ in range(5)]
-    kept = checkpoint(worlds[-1])
-    after = [state_hash(world) for world in run]
-    fresh = next(simulate(found))
-    restore(fresh, kept)
+    saved = checkpoint(worlds[-1])
+    later_hashes = [state_hash(world) for world in run]
+    fresh = next(simulate(opened_shot))
+    restore(fresh, saved)
     again = []
     for _ in range(8):
         step(fresh)
         again.append(state_hash(fresh))
-    assert again == after
+    assert again == later_hashes
 
 
 def test_frames_hold_what_moved_and_a_run_resumes(folder: Path) -> None:
     apple = "keys: {1: {at: [30, 0, 0]}, 13: {at: [-30, 0, 24]}}"
-    found = shot(folder, "steer wander()", scene=SCENE.replace(", on: ground", ""), food=apple, **ALL)
-    hashes = [state_hash(world) for world in simulate(found)]
-    whole = folder / "whole"
-    *_, done = record(begin(found, whole, Options(), resume=False, force=False))
-    assert done.surface_error < 1e-4
-    cache = open_cache(whole)
+    opened_shot = shot(folder, "steer wander()", scene=SCENE.replace(", on: ground", ""), food=apple, **ALL)
+    hashes = [state_hash(world) for world in simulate(opened_shot)]
+    complete = folder / "whole"
+    *_, state = record(begin(opened_shot, complete, Options(), resume=False, force=False))
+    assert state.surface_error < 1e-4
+    cache = open_cache(complete)
     assert [cache.hashes()[frame] for frame in range(1, 14)] == hashes
-    rest = found.setting.obstacles["wall"].vertices
+    rest = opened_shot.setting.obstacles["wall"].vertices
     for frame in (1, 5, 13):
         arrays = cache.frame(frame)
-        assert np.allclose(arrays["mesh.wall.vertices"], found.setting.moves.meshes["wall"].vertices(rest, frame - 1), atol=1e-3)
+        assert np.allclose(
+            arrays["mesh.wall.vertices"], opened_shot.setting.moves.meshes["wall"].vertices(rest, frame - 1), atol=1e-3
+        )
         assert np.allclose(arrays["items.food.P"][0, [0, 2]], [30 - 5 * (frame - 1), 2 * (frame - 1)])
     # places of the same agent differ by what it walked and what the ground went
     one, two = (cache.frame(frame) for frame in (7, 8))
@@ -430,14 +436,14 @@ def test_frames_hold_what_moved_and_a_run_resumes(folder: Path) -> None:
     gallery = Gallery(cache)
     solids = {solid.name: solid.vertices for solid in gallery.picture(9).solids}
     assert np.allclose(solids["wall"].mean(axis=0), [-70 + 80 * 8 / 12, 0, 0], atol=1e-3)
-    half = begin(found, folder / "half", Options(), resume=False, force=False)
-    for done in record(half):
-        if done.frame == 6:
-            done.stop = True
-    resumed = begin(found, folder / "half", Options(threads=2), resume=True, force=False)
+    half = begin(opened_shot, folder / "half", Options(), resume=False, force=False)
+    for state in record(half):
+        if state.frame == 6:
+            state.stop = True
+    resumed = begin(opened_shot, folder / "half", Options(threads=2), resume=True, force=False)
     assert resumed.resumed_from == 6
-    *_, done = record(resumed)
-    assert done.hash == hashes[-1]
+    *_, state = record(resumed)
+    assert state.hash == hashes[-1]
 
 
 def test_a_camera_of_a_usd_file_moves_in_pictures(tmp_path: Path) -> None:
@@ -445,17 +451,17 @@ def test_a_camera_of_a_usd_file_moves_in_pictures(tmp_path: Path) -> None:
     import usd_sets
 
     path = usd_sets.write_usd(tmp_path / "assets", tmp_path / "usd")
-    found, report = open_scene(path, Choices({"assets": tmp_path / "assets"}))
-    assert found is not None, report.errors
-    run = begin(found, tmp_path / "cache", Options(), resume=False, force=False)
-    for done in record(run):
-        done.stop = done.frame == 2
+    opened_shot, report = open_scene(path, Choices({"assets": tmp_path / "assets"}))
+    assert opened_shot is not None, report.errors
+    run = begin(opened_shot, tmp_path / "cache", Options(), resume=False, force=False)
+    for state in record(run):
+        state.stop = state.frame == 2
     gallery = Gallery(open_cache(tmp_path / "cache"))
     assert gallery.camera_moves
     cameras = [gallery.camera(frame) for frame in (1, 40, 90)]
     assert all(camera is not None and camera.focal == 35 for camera in cameras)
     assert np.allclose([camera.at[0] for camera in cameras if camera], [-50, 50, 50])
-    assert found.setting.fps == Fraction(24)
+    assert opened_shot.setting.fps == Fraction(24)
 
 
 DIGGERS = """ant 1
@@ -481,15 +487,17 @@ def test_a_plate_moves_beside_a_hill_that_is_dug(folder: Path) -> None:
         "crowd:\n  - {species: digger, from: dig.ant, count: 20, place: {on: plate}}\n"
         "  - {species: digger, from: dig.ant, count: 20, place: {on: hill}}\n"
     )
-    found, report = open_scene(folder / "scene.yaml")
-    assert found is not None and not report.errors, report.errors
+    opened_shot, report = open_scene(folder / "scene.yaml")
+    assert opened_shot is not None and not report.errors, report.errors
     start = None
-    for world in simulate(found):
+    for world in simulate(opened_shot):
         diggers = world.populations["digger"]
         place = diggers.position[diggers.in_id_order()]
         start = place.copy() if start is None else start
         assert np.abs(world.ground.position(diggers.footing) - diggers.position).max() < 1e-9
-    went = place[:, 2] - start[:, 2]
-    assert went[:20].min() > 30 and abs(went[20:]).max() < 10, "those on the plate went along, those on the hill did not"
-    *_, done = record(begin(found, folder / "dug", Options(), resume=False, force=False))
-    assert done.surface_error < 1e-4 and done.hash == state_hash(world)
+    distances = place[:, 2] - start[:, 2]
+    assert distances[:20].min() > 30 and abs(distances[20:]).max() < 10, (
+        "those on the plate went along, those on the hill did not"
+    )
+    *_, state = record(begin(opened_shot, folder / "dug", Options(), resume=False, force=False))
+    assert state.surface_error < 1e-4 and state.hash == state_hash(world)

@@ -31,7 +31,7 @@ EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
 SCENES = sorted(path.relative_to(EXAMPLES).as_posix() for path in EXAMPLES.rglob("*.yaml"))
 NUMPY = Options(backend="numpy")
 NATIVE = Options(backend="native", wait_for_code=True)
-WAYS = (NUMPY, NATIVE, replace(NATIVE, chunk=8, shuffle_rows=3), replace(NATIVE, chunk=100, threads=5))
+OPTION_SETS = (NUMPY, NATIVE, replace(NATIVE, chunk=8, shuffle_rows=3), replace(NATIVE, chunk=100, threads=5))
 KINDS = {"f": F32, "b": BOOL, "x": F32}
 DTYPES = {F32: np.float32, BOOL: np.bool_, I32: np.int32}
 SPECIAL = (0.0, -0.0, np.inf, -np.inf, np.nan, 1e30, -1e30, 1e-40, 1.0, -1.0, 0.5, 2.0, 3.0, 1e6, 1e7, 6.2831855, 3.4e38, 1e-45)
@@ -45,13 +45,13 @@ def loop(op: str) -> tuple[str, tuple[str, ...], str]:
     name = elementwise(module, "of_lanes", kinds, ELEMENTWISE[op])
     kind = F32 if module.functions[name].startswith("define internal <8 x float>") else BOOL
     with w.e.loop(w.end, WIDTH) as at:
-        found = w.e.call(name, kind, *(w.e.read(w.base(k), at, each) for k, each in enumerate(kinds)))
-        w.e.write(w.base(len(kinds)), at, found)
+        value = w.e.call(name, kind, *(w.e.read(w.base(k), at, each) for k, each in enumerate(kinds)))
+        w.e.write(w.base(len(kinds)), at, value)
     w.add("of_arrays")
     return module.text(), kinds, kind
 
 
-def some(kind: str, seed: int, count: int) -> Any:
+def random_values(kind: str, seed: int, count: int) -> Any:
     """Values of many sizes, a quarter of them special ones."""
     draw = np.random.default_rng(seed)
     if kind == BOOL:
@@ -68,17 +68,17 @@ def test_an_operation_gives_the_bits_of_numpy(op: str) -> None:
     text, kinds, kind = loop(op)
     code = machine.load(machine.object_code(text, machine.host()))
     count = 1 << 13
-    operands = [some(each, 3 + k, count) for k, each in enumerate(kinds)]
-    found = np.zeros(count, DTYPES[kind])
-    table = np.array([each.ctypes.data for each in (*operands, found)], np.int64)
+    operands = [random_values(each, 3 + k, count) for k, each in enumerate(kinds)]
+    results = np.zeros(count, DTYPES[kind])
+    table = np.array([each.ctypes.data for each in (*operands, results)], np.int64)
     code.function("of_arrays")(table.ctypes.data, 0, count)
     with np.errstate(all="ignore"):
-        wanted = ELEMENTWISE[op](*operands)
+        expected = ELEMENTWISE[op](*operands)
     if kind == F32:
-        nan = np.isnan(wanted)
-        assert np.array_equal(nan, np.isnan(found)) and nan.sum() < count
-        wanted, found = wanted[~nan].view(np.int32), found[~nan].view(np.int32)
-    assert np.array_equal(wanted, found)
+        nan = np.isnan(expected)
+        assert np.array_equal(nan, np.isnan(results)) and nan.sum() < count
+        expected, results = expected[~nan].view(np.int32), results[~nan].view(np.int32)
+    assert np.array_equal(expected, results)
 
 
 def hashes(scene: str, frames: int, options: Options, most: int = 2000) -> list[str]:
@@ -86,11 +86,11 @@ def hashes(scene: str, frames: int, options: Options, most: int = 2000) -> list[
     assert shot is not None, report
     crowds = tuple(replace(each, count=min(each.count, most)) for each in shot.setting.crowds)
     world = bind(shot.plan, replace(shot.setting, crowds=crowds), options)
-    found = [state_hash(world)]
+    hash_list = [state_hash(world)]
     for _ in range(frames):
         step(world)
-        found.append(state_hash(world))
-    return found
+        hash_list.append(state_hash(world))
+    return hash_list
 
 
 MANY_CHUNKS, SOME_CHUNKS, ONE_CHUNK = (
@@ -110,19 +110,19 @@ def test_examples_have_the_states_that_numpy_gives_them(scene: str, way: Options
 @pytest.mark.slow
 @pytest.mark.parametrize("scene", SCENES)
 def test_an_example_has_the_states_that_numpy_gives_it(scene: str) -> None:
-    wanted = hashes(scene, 18, NUMPY)
-    for way in (MANY_CHUNKS, SOME_CHUNKS, ONE_CHUNK):
-        assert hashes(scene, 18, way) == wanted
+    expected = hashes(scene, 18, NUMPY)
+    for options in (MANY_CHUNKS, SOME_CHUNKS, ONE_CHUNK):
+        assert hashes(scene, 18, options) == expected
 
 
 def test_a_world_of_every_operation_has_the_states_that_the_reference_gives_it() -> None:
-    found = []
-    for way in (Options(backend="reference"), NATIVE, replace(NATIVE, chunk=8, shuffle_rows=2)):
-        world = bind(plans.rich(), plans.setting(), way)
+    end_hashes = []
+    for options in (Options(backend="reference"), NATIVE, replace(NATIVE, chunk=8, shuffle_rows=2)):
+        world = bind(plans.rich(), plans.setting(), options)
         for _ in range(12):
             step(world)
-        found.append(state_hash(world))
-    assert found[0] == found[1] == found[2]
+        end_hashes.append(state_hash(world))
+    assert end_hashes[0] == end_hashes[1] == end_hashes[2]
 
 
 DENSE = """
@@ -146,34 +146,36 @@ species a {
 @pytest.mark.parametrize("radius", [2.0, 0.0])
 def test_of_many_neighbours_the_nearest_count(radius: float) -> None:
     """More than the cap within the radius of each; with a radius of 0 all in one place, where ids decide."""
-    seen = play(DENSE, crowd(700, radius=radius), steps=2, ways=(*WAYS[:2], replace(NATIVE, chunk=200, shuffle_rows=3)))
-    counts = np.array(seen["near_by"])
-    assert counts.max() == limits.NEIGHBOURS and (radius == 0 or len(set(seen["mood"])) > 1)
+    history = play(
+        DENSE, crowd(700, radius=radius), steps=2, option_sets=(*OPTION_SETS[:2], replace(NATIVE, chunk=200, shuffle_rows=3))
+    )
+    counts = np.array(history["near_by"])
+    assert counts.max() == limits.NEIGHBOURS and (radius == 0 or len(set(history["mood"])) > 1)
 
 
 def test_a_crowd_in_one_sheet_that_comes_to_lie_level_is_searched_as_before() -> None:
     def run(options: Options) -> list[str]:
         world = bind(plans.rich(), plans.crowd(200), options)
-        found = []
+        frame_hashes = []
         for frame in range(6):
             for population in world.populations.values():
                 tall = np.linspace(0, 2, len(population), dtype=np.float32) if frame < 3 else np.float32(0)
                 population.start["position.y"][:] = population.now["position.y"][:] = tall
             step(world)
-            found.append(state_hash(world))
-        return found
+            frame_hashes.append(state_hash(world))
+        return frame_hashes
 
     assert run(Options(backend="native", wait_for_code=True)) == run(Options(backend="numpy"))
 
 
-def test_too_many_in_a_radius_are_told_as_numpy_tells_them(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_too_many_in_a_radius_are_reported_as_by_numpy(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(limits, "WITHIN_RADIUS", 300)
-    told = []
-    for way in (NUMPY, NATIVE):
+    messages = []
+    for options in (NUMPY, NATIVE):
         with pytest.raises(FaultStop) as stop:
-            play(DENSE, crowd(400, radius=1.0), ways=(way,))
-        told.append(str(stop.value))
-    assert told[0] == told[1] and "300" in told[0]
+            play(DENSE, crowd(400, radius=1.0), option_sets=(options,))
+        messages.append(str(stop.value))
+    assert messages[0] == messages[1] and "300" in messages[0]
 
 
 FAULTY = """
@@ -188,20 +190,20 @@ species a {
 """
 
 
-def test_refused_values_are_told_as_the_reference_tells_them() -> None:
-    told = []
-    for way in (Options(backend="reference"), NUMPY, NATIVE):
-        seen = play(FAULTY, crowd(12, radius=40), steps=3, ways=(replace(way, on_fault="quarantine"),))
-        log = seen.world.faults
-        told.append((log.count, [str(fault) for fault in log.reported], seen["late"], seen["mood"]))
-    assert told[0] == told[1] == told[2] and told[0][0] > 2
+def test_refused_values_are_reported_as_by_the_reference() -> None:
+    fault_reports = []
+    for options in (Options(backend="reference"), NUMPY, NATIVE):
+        history = play(FAULTY, crowd(12, radius=40), steps=3, option_sets=(replace(options, on_fault="quarantine"),))
+        log = history.world.faults
+        fault_reports.append((log.count, [str(fault) for fault in log.reported], history["late"], history["mood"]))
+    assert fault_reports[0] == fault_reports[1] == fault_reports[2] and fault_reports[0][0] > 2
 
 
 def test_who_has_given_all_has_0_whatever_the_sign_of_its_zero() -> None:
     text = "species a { load = -(id * 0)\n state only { when true -> only { give all load to nest } } }"
-    ways = (Options(backend="reference"), NUMPY, NATIVE)
-    seen = play(text, crowd(9, radius=5), steps=2, ways=ways, items={"nest": (item("n", 0, 0, 9),)})
-    assert np.signbit(seen.at("load", 0)).all() and not np.signbit(seen["load"]).any()
+    option_sets = (Options(backend="reference"), NUMPY, NATIVE)
+    history = play(text, crowd(9, radius=5), steps=2, option_sets=option_sets, items={"nest": (item("n", 0, 0, 9),)})
+    assert np.signbit(history.at("load", 0)).all() and not np.signbit(history["load"]).any()
 
 
 def rich(options: Options) -> World:
@@ -209,33 +211,33 @@ def rich(options: Options) -> World:
 
 
 def test_code_that_becomes_ready_in_mid_run_changes_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
-    wanted = []
+    expected = []
     world = rich(NUMPY)
     for _ in range(8):
         step(world)
-        wanted.append(state_hash(world))
+        expected.append(state_hash(world))
     world = rich(Options(backend="native"))
     coming: Any = ready.beside(world.plan, world.backend.blocks, ready.Facts(False, False))  # type: ignore[attr-defined]
-    done = coming.result()
+    ready_code = coming.result()
 
     class Later:
         steps = 0
 
-        def done(self) -> bool:
+        def ready_code(self) -> bool:
             self.steps += 1
             return self.steps > 4
 
         def result(self) -> Any:
-            return done
+            return ready_code
 
     monkeypatch.setattr("antdsl.runtime.backends.native.backend.known", lambda plan, facts: None)
     world.backend._coming = Later()  # type: ignore[attr-defined]
-    found, native = [], []
+    frame_hashes, native = [], []
     for _ in range(8):
         step(world)
-        found.append(state_hash(world))
+        frame_hashes.append(state_hash(world))
         native.append(world.backend.ready is not None)  # type: ignore[attr-defined]
-    assert found == wanted and native == [False] * 4 + [True] * 4
+    assert frame_hashes == expected and native == [False] * 4 + [True] * 4
 
 
 @pytest.mark.parametrize("options", [NUMPY, NATIVE])
@@ -282,36 +284,40 @@ define void @a(ptr %p) {
     assert not fused(machine.named({"avx": True, "fma": True, "fma4": True, "xop": True}))
 
 
-def asked_of_the_reference(program: str, monkeypatch: pytest.MonkeyPatch) -> list[str]:
+def reference_operations(program: str, monkeypatch: pytest.MonkeyPatch) -> list[str]:
     """What the reference is asked to work out while a crowd takes two steps with the same states as NumPy's."""
-    wanted, plain, asked = play(program, crowd(300, radius=60), steps=2, ways=(NUMPY,)), native_backend.Agent.value, []
+    history, plain, node_names = (
+        play(program, crowd(300, radius=60), steps=2, option_sets=(NUMPY,)),
+        native_backend.Agent.value,
+        [],
+    )
 
     def value(agent: native_backend.Agent, node: ir.Node) -> Any:
-        asked.append(node.op)
+        node_names.append(node.op)
         return plain(agent, node)
 
     with monkeypatch.context() as patch:
         patch.setattr(native_backend.Agent, "value", value)
-        world = bind(wanted.world.plan, wanted.world.setting, NATIVE)
+        world = bind(history.world.plan, history.world.setting, NATIVE)
         for _ in range(2):
             step(world)
-    assert state_hash(world) == state_hash(wanted.world)
-    return asked
+    assert state_hash(world) == state_hash(history.world)
+    return node_names
 
 
 def test_a_radius_is_worked_out_of_few_agents_and_never_where_that_takes_the_crowd(monkeypatch: pytest.MonkeyPatch) -> None:
     """Before the first search, to choose its cells by."""
     text = "species a {{ n = 0\n let near = count(neighbours(9 mm))\n state s {{ n = count(neighbours({})) }} }}"
-    assert asked_of_the_reference(text.format("9 mm + n * 0.1 mm"), monkeypatch) == ["add"] * 8
-    assert asked_of_the_reference(text.format("9 mm + near * 1 mm"), monkeypatch) == ["const"] * 8, "the radius of `near`"
+    assert reference_operations(text.format("9 mm + n * 0.1 mm"), monkeypatch) == ["add"] * 8
+    assert reference_operations(text.format("9 mm + near * 1 mm"), monkeypatch) == ["const"] * 8, "the radius of `near`"
 
 
 class Crowd:
     """What is read of a population to learn how far its agents are apart."""
 
-    def __init__(self, places: Any) -> None:
-        self.start = {f"position.{axis}": places[:, k] for k, axis in enumerate("xyz")}
-        self._count = len(places)
+    def __init__(self, positions: Any) -> None:
+        self.start = {f"position.{axis}": positions[:, k] for k, axis in enumerate("xyz")}
+        self._count = len(positions)
 
     def __len__(self) -> int:
         return self._count
@@ -319,17 +325,17 @@ class Crowd:
 
 def test_what_holds_some_agents_is_found_of_lines_sheets_and_clouds() -> None:
     rng = np.random.default_rng(2)
-    for extents, wanted in (((1000, 0, 0), 8.0), ((1000, 1000, 0), 89.4), ((1000, 1000, 1000), 200.0), ((0, 0, 0), 0.0)):
-        places = (rng.random((1000, 3)) * extents).astype(np.float32)
-        population: Any = Crowd(places)
-        assert native_backend._spacing(population) == pytest.approx(wanted, rel=0.01)
+    for extents, expected in (((1000, 0, 0), 8.0), ((1000, 1000, 0), 89.4), ((1000, 1000, 1000), 200.0), ((0, 0, 0), 0.0)):
+        positions = (rng.random((1000, 3)) * extents).astype(np.float32)
+        population: Any = Crowd(positions)
+        assert native_backend._spacing(population) == pytest.approx(expected, rel=0.01)
 
 
-def test_arrays_of_cells_that_nobody_asks_for_any_more_are_let_go() -> None:
+def test_arrays_of_cells_that_are_no_longer_needed_are_released() -> None:
     """Radii that grow with time ask for cells of other sizes all the time."""
     text = "species a { n = 0\n reach = 5 mm\n state s { reach = reach * 1.06\n n = count(neighbours(reach)) } }"
-    seen = play(text, crowd(200, radius=40), steps=60, ways=(NATIVE, NUMPY))
-    grids = seen.world.backend._grids  # type: ignore[attr-defined]
+    history = play(text, crowd(200, radius=40), steps=60, option_sets=(NATIVE, NUMPY))
+    grids = history.world.backend._grids  # type: ignore[attr-defined]
     assert 0 < len(grids._stored) <= 1 + 16 and all(size < np.inf for _, size in grids._stored)
     assert min(each.used for each in grids._stored.values()) >= grids._step - 16
 
@@ -347,13 +353,13 @@ def test_rows_are_shared_out_among_threads_in_whole_eights() -> None:
         assert size % WIDTH == 0 and -(-count // size) == parts, (count, chunk, threads)
 
 
-def test_what_is_machine_code_is_told() -> None:
+def test_what_is_machine_code_is_listed() -> None:
     shot, _ = open_scene(EXAMPLES / "foraging" / "scene.yaml")
     assert shot is not None
-    made = listing.of_plan(shot.plan, machine.host())
-    text = listing.show(made)
+    plan_listing = listing.of_plan(shot.plan, machine.host())
+    text = listing.show(plan_listing)
     assert "then NumPy: ray(stones)" in text and "3 times" in text and "searches forager for 2 sets" in text
-    counts = listing.counts(made)
+    counts = listing.counts(plan_listing)
     assert counts == listing.counts(listing.of_plan(shot.plan, machine.host()))
     assert f"stage 0: {counts['forager.decide.0']:,} instructions" in text and counts["forager.decide.0"] > 500
 
@@ -362,6 +368,6 @@ def test_another_number_needs_no_other_code() -> None:
     texts = []
     for speed in ("10", "25"):
         text = f"species a {{ max_speed {speed} mm/s\n pace = 1\n state only {{ pace = pace * 1.5 + {speed} }} }}"
-        seen = play(text, ways=(NATIVE,))
-        texts.append(seen.world.backend.ready.program.text)  # type: ignore[attr-defined]
+        history = play(text, option_sets=(NATIVE,))
+        texts.append(history.world.backend.ready.program.text)  # type: ignore[attr-defined]
     assert texts[0] == texts[1]

@@ -45,53 +45,53 @@ def ran(script: str, *arguments: str, **settings: str) -> subprocess.CompletedPr
 
 @pytest.mark.skipif(sys.platform != "linux", reason="the pages are those of Linux")
 def test_a_byte_behind_an_array_is_noticed() -> None:
-    found = ran("guarded_memory.py", "--past")
-    assert found.returncode < 0 and found.stdout == f"{bytes(5)!r}\n"
+    process = ran("guarded_memory.py", "--past")
+    assert process.returncode < 0 and process.stdout == f"{bytes(5)!r}\n"
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="the pages are those of Linux")
 @pytest.mark.parametrize("what", ["2 0 9 100", pytest.param("2 2 1 7 8 9 70", marks=pytest.mark.slow)])
 def test_nothing_behind_the_spare_rows_is_touched(what: str) -> None:
-    found = ran("guarded_memory.py", *what.split(), ANTDSL_NATIVE_CACHE="")
-    assert (found.returncode, found.stdout) == (0, "same\n"), found.stderr[-2000:]
+    process = ran("guarded_memory.py", *what.split(), ANTDSL_NATIVE_CACHE="")
+    assert (process.returncode, process.stdout) == (0, "same\n"), process.stderr[-2000:]
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="memory is given out as by Linux")
 def test_code_finds_its_constants_in_a_process_of_gigabytes() -> None:
-    found = ran("far_memory.py")
-    assert (found.returncode, found.stdout) == (0, "same\n"), found.stderr[-2000:]
+    process = ran("far_memory.py")
+    assert (process.returncode, process.stdout) == (0, "same\n"), process.stderr[-2000:]
 
 
 def undefined(code: bytes) -> set[str]:
     """Names that an object file (ELF of 64 bits) looks for elsewhere."""
     (table,), (_, count) = struct.unpack_from("<Q", code, 40), struct.unpack_from("<HH", code, 58)
-    heads = [struct.unpack_from("<IIQQQQIIQQ", code, table + 64 * k) for k in range(count)]
-    symbols = next(head for head in heads if head[1] == 2)
-    names, begin, size = heads[symbols[6]][4], symbols[4], symbols[5]
-    found = set()
+    headers = [struct.unpack_from("<IIQQQQIIQQ", code, table + 64 * k) for k in range(count)]
+    symbols = next(head for head in headers if head[1] == 2)
+    names, begin, size = headers[symbols[6]][4], symbols[4], symbols[5]
+    symbol_names = set()
     for name, _, _, section, _, _ in struct.iter_unpack("<IBBHQQ", code[begin : begin + size]):
         if name and not section:
-            found.add(code[names + name : code.index(0, names + name)].decode())
-    return found
+            symbol_names.add(code[names + name : code.index(0, names + name)].decode())
+    return symbol_names
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="object files are those of ELF")
 @pytest.mark.parametrize("name", sampled(TARGETS, ("oldest x86", "arm")))
-def test_machine_code_calls_nothing_whose_bits_may_differ(name: str) -> None:
+def test_machine_code_calls_nothing_whose_bits_may_vary(name: str) -> None:
     """Without some instruction LLVM makes a call of it; none of them may be one that libraries round in different ways."""
     target = TARGETS[name]()
-    found = undefined(machine.object_code(listing.of_plan(plans.rich(), target).text, target))
-    assert "fmod" in found and found <= FROM_C
+    symbol_names = undefined(machine.object_code(listing.of_plan(plans.rich(), target).text, target))
+    assert "fmod" in symbol_names and symbol_names <= FROM_C
 
 
-def test_intrinsics_of_a_processor_are_not_asked_for_where_it_has_none() -> None:
+def test_intrinsics_of_a_processor_are_not_used_where_it_has_none() -> None:
     plan = plans.rich()
     assert "@llvm.x86.avx2" not in listing.of_plan(plan, native_states.PLAIN).text
     assert "@llvm.x86" not in listing.of_plan(plan, TARGETS["arm"]()).text
 
 
 @pytest.fixture(scope="module")
-def wanted() -> str:
+def expected_states() -> str:
     """What every host has to give, as NumPy gives it."""
     return " ".join(native_states.of_plan("numpy"))
 
@@ -111,20 +111,20 @@ def lacking(*names: str) -> dict[str, str]:
         pytest.param(True, (), marks=pytest.mark.slow),
     ],
 )
-def test_instructions_change_no_state(plain: bool, names: tuple[str, ...], wanted: str) -> None:
+def test_instructions_change_no_state(plain: bool, names: tuple[str, ...], expected_states: str) -> None:
     """Those that LLVM may use, that NumPy, libm and BLAS choose between."""
-    found = ran("native_states.py", *["--plain"] * plain, ANTDSL_NATIVE_CACHE="", **lacking(*names))
-    assert found.stdout.splitlines() == ["as machine code", wanted], found.stderr[-2000:]
+    process = ran("native_states.py", *["--plain"] * plain, ANTDSL_NATIVE_CACHE="", **lacking(*names))
+    assert process.stdout.splitlines() == ["as machine code", expected_states], process.stderr[-2000:]
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("scene", ["moods/scene.yaml", "tunnel/scene.yaml", "worth/scene.yaml", "alarm/scene.yaml"])
-def test_instructions_change_no_state_of_an_example(scene: str, wanted: str) -> None:
-    found = ran("native_states.py", "--plain", scene, ANTDSL_NATIVE_CACHE="", **lacking(*WITHOUT))
-    assert found.stdout.splitlines()[2] == " ".join(native_states.of_scene(scene, "numpy")), found.stderr[-2000:]
+def test_instructions_change_no_state_of_an_example(scene: str, expected_states: str) -> None:
+    process = ran("native_states.py", "--plain", scene, ANTDSL_NATIVE_CACHE="", **lacking(*WITHOUT))
+    assert process.stdout.splitlines()[2] == " ".join(native_states.of_scene(scene, "numpy")), process.stderr[-2000:]
 
 
 def test_without_llvmlite_nothing_runs_and_the_message_names_the_package(tmp_path: Path) -> None:
     (tmp_path / "sitecustomize.py").write_text(NO_LLVMLITE, encoding="utf-8")
-    found = ran("native_states.py", PYTHONPATH=child_environment(tmp_path, TESTS)["PYTHONPATH"])
-    assert found.returncode and "NoMachineCode: llvmlite is not installed" in found.stderr, found.stderr[-2000:]
+    process = ran("native_states.py", PYTHONPATH=child_environment(tmp_path, TESTS)["PYTHONPATH"])
+    assert process.returncode and "NoMachineCode: llvmlite is not installed" in process.stderr, process.stderr[-2000:]

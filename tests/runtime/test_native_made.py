@@ -41,7 +41,7 @@ def afresh(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Callable[[], list
         return make(text, target)
 
     def begin() -> list[str]:
-        while ready._asked:  # by worlds of other tests, which did not wait
+        while ready._requests:  # by worlds of other tests, which did not wait
             ready._worker().submit(int).result()
         compiled.clear()
         cache = object_cache.ObjectCache(tmp_path / "code")
@@ -71,29 +71,29 @@ species a {{
 
 
 def edited(sign: str = "+", number: str = "1.5") -> World:
-    return play(EDITED.format(number=number, sign=sign), crowd(20, radius=50), steps=3, ways=(NATIVE,)).world
+    return play(EDITED.format(number=number, sign=sign), crowd(20, radius=50), steps=3, option_sets=(NATIVE,)).world
 
 
 def test_code_of_another_run_is_used(afresh: Callable[[], list[str]]) -> None:
     compiled = afresh()
-    wanted = state_hash(edited())
+    expected = state_hash(edited())
     assert len(compiled) > 1
     compiled = afresh()
     world = edited()
-    assert state_hash(world) == wanted and compiled == [] and world.backend.told() == []
+    assert state_hash(world) == expected and compiled == [] and world.backend.messages() == []
 
 
 def test_code_that_may_be_harmful_is_not_loaded_and_the_run_goes_on(afresh: Callable[[], list[str]], tmp_path: Path) -> None:
     afresh()
-    wanted = state_hash(edited())
+    expected = state_hash(edited())
     for path in (tmp_path / "code").iterdir():
         path.write_bytes(path.read_bytes()[:-1] + b"?")
     compiled = afresh()
     world = edited()
-    assert state_hash(world) == wanted and len(compiled) > 1
-    assert world.backend.told() and all("damaged, or was not written" in each for each in world.backend.told())
+    assert state_hash(world) == expected and len(compiled) > 1
+    assert world.backend.messages() and all("damaged, or was not written" in each for each in world.backend.messages())
     compiled = afresh()
-    assert state_hash(edited()) == wanted and compiled == [], "it was replaced"
+    assert state_hash(edited()) == expected and compiled == [], "it was replaced"
 
 
 def test_an_edit_compiles_what_it_changes_and_a_number_nothing(afresh: Callable[[], list[str]]) -> None:
@@ -110,33 +110,34 @@ def test_an_edit_compiles_what_it_changes_and_a_number_nothing(afresh: Callable[
 def programs_saved(count: int) -> list[World]:
     """Worlds of a program that is saved again and again, each with a line that differs."""
     return [
-        play(EDITED.format(number=1, sign="+" + k * " pace *"), crowd(3, radius=5), ways=(NUMPY,)).world for k in range(count)
+        play(EDITED.format(number=1, sign="+" + k * " pace *"), crowd(3, radius=5), option_sets=(NUMPY,)).world
+        for k in range(count)
     ]
 
 
-def test_what_is_asked_for_last_is_made_first_and_what_nobody_waits_for_is_not_made(afresh: Callable[[], list[str]]) -> None:
+def test_the_latest_request_is_compiled_first_and_one_without_a_waiter_is_not_compiled(afresh: Callable[[], list[str]]) -> None:
     compiled, go = afresh(), Event()
     worlds = programs_saved(7)
     ready._worker().submit(go.wait)
     coming = [ready.beside(each.plan, each.backend.blocks, ready.Facts(False, False)) for each in worlds]  # type: ignore[attr-defined]
     del coming[1::2]
     go.set()
-    made = [each.result() for each in coming]
+    compiled_codes = [each.result() for each in coming]
     blocks = [text for text in compiled if "@a.act.0" in text]
-    assert blocks == [each.program.units["a.act.0"] for each in reversed(made)] and len(blocks) == 4
+    assert blocks == [each.program.units["a.act.0"] for each in reversed(compiled_codes)] and len(blocks) == 4
     ready._worker().submit(int).result()
-    assert not ready._asked
+    assert not ready._requests
 
 
 def test_however_many_programs_step_in_turn_each_gets_its_code_and_asks_once(
     afresh: Callable[[], list[str]], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     afresh()
-    asked: list[Any] = []
+    requests: list[Any] = []
 
     def beside(*what: Any) -> Any:
-        asked.append(ready.beside(*what))
-        return asked[-1]
+        requests.append(ready.beside(*what))
+        return requests[-1]
 
     monkeypatch.setattr(native_backend, "beside", beside)
     monkeypatch.setattr(native_backend, "_LOADING", 0.0)
@@ -147,11 +148,11 @@ def test_however_many_programs_step_in_turn_each_gets_its_code_and_asks_once(
         for world in worlds:
             step(world)
     go.set()
-    for each in asked:
+    for each in requests:
         each.result()
     for world in worlds:
         step(world)
-    assert len(asked) == 7 and all(world.backend.ready is not None for world in worlds)  # type: ignore[attr-defined]
+    assert len(requests) == 7 and all(world.backend.ready is not None for world in worlds)  # type: ignore[attr-defined]
 
 
 def test_a_world_that_is_gone_has_no_code_made(afresh: Callable[[], list[str]], monkeypatch: pytest.MonkeyPatch) -> None:
@@ -162,11 +163,11 @@ def test_a_world_that_is_gone_has_no_code_made(afresh: Callable[[], list[str]], 
     ready._worker().submit(go.wait)
     for _ in range(2):
         step(world)
-    assert len(ready._asked) == 1
+    assert len(ready._requests) == 1
     del world
     gc.collect()
     go.set()
-    while ready._asked:
+    while ready._requests:
         ready._worker().submit(int).result()
     assert compiled == []
 
@@ -187,14 +188,14 @@ def test_who_asks_with_other_arrays_each_time_is_answered_of_those_and_leaves_no
     """As specs do: registers that are the run's own, asked about again after they have changed, and new arrays for answers."""
     world = edited()
     rooms: Any = world.backend._rooms  # type: ignore[attr-defined]
-    population, told = world.populations["a"], np.zeros(len(world), np.float32)
+    population, values = world.populations["a"], np.zeros(len(world), np.float32)
     for k in range(100):
-        there = copy(population)
-        told[:] = k
-        there.start = {"pace": told}
-        there.now = {"pace": np.full(len(world), k, np.float32)}
-        rooms.settle([there])
-        array, _ = rooms.moved(there, "pace", start=True)
-        rooms.moved(there, "pace", start=False)
-        assert there.start["pace"] is array and (array == k).all()
+        population_copy = copy(population)
+        values[:] = k
+        population_copy.start = {"pace": values}
+        population_copy.now = {"pace": np.full(len(world), k, np.float32)}
+        rooms.settle([population_copy])
+        array, _ = rooms.moved(population_copy, "pace", start=True)
+        rooms.moved(population_copy, "pace", start=False)
+        assert population_copy.start["pace"] is array and (array == k).all()
         assert len(rooms._moved) < 80

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from meaning import WAYS, crowd, play
+from meaning import OPTION_SETS, crowd, play
 from plan_text import plan_of
 
 from antdsl.passes import optimise
@@ -13,16 +13,16 @@ from antdsl.runtime.nearest_pairs import nearest_of_all
 from antdsl.runtime.world import AXES, Population
 from antdsl.scene.setting import Setting
 
-EVERY_WAY = (*WAYS, Options(backend="native", wait_for_code=True, chunk=16, shuffle_rows=5))
+EVERY_WAY = (*OPTION_SETS, Options(backend="native", wait_for_code=True, chunk=16, shuffle_rows=5))
 STILL = "on spawn { velocity = 0 * velocity }"
 
 
-def standing(places: np.ndarray, seed: int = 3) -> tuple[World, Population]:
+def standing(positions: np.ndarray, seed: int = 3) -> tuple[World, Population]:
     """A world with agents in these places (n, 3), rows and ids in no order."""
     text = f"species a {{ {STILL}\nstart s\nstate s {{ steer heading }} }}"
-    world = bind(optimise(plan_of(text)), Setting(crowds=(crowd(len(places), "a", radius=50.0),)), Options(shuffle_rows=seed))
+    world = bind(optimise(plan_of(text)), Setting(crowds=(crowd(len(positions), "a", radius=50.0),)), Options(shuffle_rows=seed))
     population = world.populations["a"]
-    for axis, column in zip(AXES, places.T, strict=True):
+    for axis, column in zip(AXES, positions.T, strict=True):
         population.start[f"position.{axis}"] = column.astype(np.float32)[population.ids]
     return world, population
 
@@ -36,12 +36,12 @@ def by_pairs(other: Population, own: tuple[np.ndarray, ...], ids: np.ndarray | N
 def by_tree(world: World, other: Population, own: tuple[np.ndarray, ...], ids: np.ndarray | None) -> list[int] | None:
     world.trees.clear()
     with np.errstate(all="ignore"):
-        found = nearest_of_all(world, other, own, ids)
-    if found is None:
+        pair_rows = nearest_of_all(world, other, own, ids)
+    if pair_rows is None:
         return None
     result = np.full(len(own[0]), -1)
-    result[found[0]] = other.ids[found[1]]
-    assert (np.diff(found[0]) > 0).all(), "one pair at most for each, in the order of who asks"
+    result[pair_rows[0]] = other.ids[pair_rows[1]]
+    assert (np.diff(pair_rows[0]) > 0).all(), "one pair at most for each, in the order of who asks"
     return result.tolist()
 
 
@@ -78,9 +78,9 @@ def test_the_nearest_is_the_same_as_where_all_pairs_are_measured(name: str, monk
 
 @pytest.mark.parametrize("odd", [np.nan, np.inf, -np.inf, 1e20, -3e38])
 def test_where_a_place_is_no_place_all_pairs_are_measured(odd: float) -> None:
-    places = CROWDS["on a plane"].copy()
-    places[7, 1] = odd
-    world, population = standing(places)
+    positions = CROWDS["on a plane"].copy()
+    positions[7, 1] = odd
+    world, population = standing(positions)
     own = tuple(population.start[f"position.{axis}"] for axis in AXES)
     assert by_tree(world, population, own, population.ids) is None
     world, population = standing(CROWDS["on a plane"])
@@ -107,25 +107,27 @@ species b {{
 
 
 def test_programs_see_the_same_on_all_backends() -> None:
-    places = [(0, 0), (4, 0), (-4, 0), (0, 4), (30, 0)]
-    seen = play(
-        NEAREST, crowd(species="a", at=places), crowd(species="b", at=[(31, 0), (-9, 0)], group=1), steps=9, ways=EVERY_WAY
+    points = [(0, 0), (4, 0), (-4, 0), (0, 4), (30, 0)]
+    history = play(
+        NEAREST, crowd(species="a", at=points), crowd(species="b", at=[(31, 0), (-9, 0)], group=1), steps=9, option_sets=EVERY_WAY
     )
-    assert seen.at("who", 2) == [1, 0, 0, 0, 1] and seen.at("whom", 2) == [1, 1, 1, 1, 0]
-    assert seen.at("far", 2) == [9, 13, 5, pytest.approx(np.hypot(9, 4)), 1]
-    assert seen["id"] == [0, 1, 2, 4] and seen["whom"] == [-1] * 4, "nobody is left of them"
+    assert history.at("who", 2) == [1, 0, 0, 0, 1] and history.at("whom", 2) == [1, 1, 1, 1, 0]
+    assert history.at("far", 2) == [9, 13, 5, pytest.approx(np.hypot(9, 4)), 1]
+    assert history["id"] == [0, 1, 2, 4] and history["whom"] == [-1] * 4, "nobody is left of them"
 
 
-def test_no_pairs_of_all_are_made_where_only_the_nearest_is_asked_for(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_no_full_pairs_are_built_where_only_the_nearest_is_needed(monkeypatch: pytest.MonkeyPatch) -> None:
     measured = []
-    monkeypatch.setattr(pairs, "_every", lambda *asked, every=pairs._every: (measured.append(len(asked[1][0])), every(*asked))[1])
+    monkeypatch.setattr(
+        pairs, "_every", lambda *arguments, every=pairs._every: (measured.append(len(arguments[1][0])), every(*arguments))[1]
+    )
     again = Setting(crowds=(crowd(300, "a", radius=200.0), crowd(20, "b", radius=200.0, group=1)))
     for backend in ("numpy", "native"):
         world = bind(optimise(plan_of(NEAREST)), again, Options(backend=backend, wait_for_code=True, chunk=64))
         for _ in range(3):
             step(world)
         assert not measured
-    more = NEAREST.replace("far = min(distance(nearest(b)), 99 mm)", "far = sum(n in all(a): distance(n))")
-    world = bind(optimise(plan_of(more)), again, Options(backend="numpy"))
+    sum_program = NEAREST.replace("far = min(distance(nearest(b)), 99 mm)", "far = sum(n in all(a): distance(n))")
+    world = bind(optimise(plan_of(sum_program)), again, Options(backend="numpy"))
     step(world)
     assert sum(measured) == 300, "who asks more than who is nearest measures all"

@@ -22,7 +22,7 @@ from antdsl.pipeline import Choices, Shot, open_scene
 from antdsl.reload import take_over
 from antdsl.runtime import Options, bind, step
 from antdsl.runtime.binding import spacing
-from antdsl.runtime.binding.spacing import Draw, Drawn, Room, spread
+from antdsl.runtime.binding.spacing import Draw, Drawn, Occupancy, spread
 from antdsl.runtime.binding.start_findings import crowding
 from antdsl.runtime.world import World
 from antdsl.scene.setting import CrowdData, MeshData, Painted, PlaceData, Setting, SolidData
@@ -38,14 +38,14 @@ BLOCK = PROGRAM.replace("surface hill;", "surface hill; solid block;")
 _PLANS: dict[str, object] = {}
 
 
-def world(*crowds: CrowdData, text: str = PROGRAM, options: Options | None = None, **more: object) -> World:
+def world(*crowds: CrowdData, text: str = PROGRAM, options: Options | None = None, **setting_arguments: object) -> World:
     """Hills with a rock in the middle, a table above them, a block of soil and a map that is dense at the right."""
     if text not in _PLANS:
         program, report = checked(text)
         assert report.ok, complaints(report)
         _PLANS[text] = passes.optimise(plan.lower(program)[0])
     hills = meshes.terrain(400.0, 24)
-    given: dict = dict(
+    default_setting: dict = dict(
         surfaces={"hill": MeshData(*hills), "plate": MeshData(*meshes.box((-40, 40, -40), (40, 44, 40)))},
         solids={"block": SolidData(MeshData(*meshes.box((90, -40, 90), (150, 30, 150))), 2.0)} if text == BLOCK else {},
         obstacles={"rock": MeshData(*meshes.ball(30.0))},
@@ -53,35 +53,35 @@ def world(*crowds: CrowdData, text: str = PROGRAM, options: Options | None = Non
         crowds=crowds,
         seed=4,
     )
-    return bind(_PLANS[text], Setting(**{**given, **more}), options or Options())  # type: ignore[arg-type]
+    return bind(_PLANS[text], Setting(**{**default_setting, **setting_arguments}), options or Options())  # type: ignore[arg-type]
 
 
-def discs(made: World) -> tuple[np.ndarray, np.ndarray]:
+def discs(bound_world: World) -> tuple[np.ndarray, np.ndarray]:
     return (
-        np.concatenate([p.position for p in made.populations.values()]),
-        np.concatenate([p.now["radius"] for p in made.populations.values()]).astype(np.float64),
+        np.concatenate([p.position for p in bound_world.populations.values()]),
+        np.concatenate([p.now["radius"] for p in bound_world.populations.values()]).astype(np.float64),
     )
 
 
 def overlapping(place: np.ndarray, radius: np.ndarray) -> np.ndarray:
     """Who meets somebody, by trying each with all others."""
-    found = np.zeros(len(place), np.bool_)
+    overlaps = np.zeros(len(place), np.bool_)
     for k in range(len(place)):
-        apart = np.sqrt(((place - place[k]) ** 2).sum(axis=1)) < radius + radius[k]
-        apart[k] = False
-        found[k] = apart.any()
-    return found
+        is_near = np.sqrt(((place - place[k]) ** 2).sum(axis=1)) < radius + radius[k]
+        is_near[k] = False
+        overlaps[k] = is_near.any()
+    return overlaps
 
 
-def by_id(made: World, species: str = "ant") -> np.ndarray:
-    population = made.populations[species]
+def by_id(bound_world: World, species: str = "ant") -> np.ndarray:
+    population = bound_world.populations[species]
     return population.position[population.in_id_order()]
 
 
 # --- nobody in anybody ---------------------------------------------------------------------------------------------------
 
 DISC = PlaceData(on=("hill",), around=(0.0, 0.0, 0.0), radius=90.0)
-WAYS = {
+PLACEMENTS = {
     "disc": (CrowdData("ant", 500, DISC),),
     "surface": (CrowdData("ant", 900, PlaceData(on=("hill",))),),
     "everywhere": (CrowdData("ant", 900),),
@@ -106,14 +106,14 @@ WAYS = {
 }
 
 
-@pytest.mark.parametrize("way", WAYS)
-def test_nobody_begins_in_anybody_else(way: str) -> None:
-    made = world(*WAYS[way], text=BLOCK if "solid" in way else PROGRAM)
-    assert len(made) == sum(crowd.count for crowd in WAYS[way]) and made.crowded == []
-    place, radius = discs(made)
+@pytest.mark.parametrize("way", PLACEMENTS)
+def test_no_agent_begins_inside_another(way: str) -> None:
+    bound_world = world(*PLACEMENTS[way], text=BLOCK if "solid" in way else PROGRAM)
+    assert len(bound_world) == sum(crowd.count for crowd in PLACEMENTS[way]) and bound_world.crowded == []
+    place, radius = discs(bound_world)
     assert not overlapping(place, radius).any()
-    for population in made.populations.values():
-        assert np.abs(made.ground.position(population.footing) - population.position).max(initial=0.0) < 1e-9
+    for population in bound_world.populations.values():
+        assert np.abs(bound_world.ground.position(population.footing) - population.position).max(initial=0.0) < 1e-9
 
 
 SHOTS = [
@@ -127,9 +127,9 @@ SHOTS = [
 def test_no_example_begins_with_agents_in_each_other(shot: str) -> None:
     opened, _ = open_scene(EXAMPLES / f"{shot}.yaml")
     assert opened is not None
-    made = bind(opened.plan, opened.setting)
-    assert made.crowded == []
-    place, radius = discs(made)
+    bound_world = bind(opened.plan, opened.setting)
+    assert bound_world.crowded == []
+    place, radius = discs(bound_world)
     assert not overlapping(place, radius).any()
 
 
@@ -144,8 +144,8 @@ def test_more_agents_move_none_of_those_before(count: int) -> None:
 
 
 def test_a_later_line_moves_none_of_those_before() -> None:
-    alone = world(WAYS["lines and species"][0])
-    all_of_them = world(*WAYS["lines and species"])
+    alone = world(PLACEMENTS["lines and species"][0])
+    all_of_them = world(*PLACEMENTS["lines and species"])
     assert np.array_equal(by_id(alone), by_id(all_of_them)[:120])
 
 
@@ -153,25 +153,25 @@ def test_a_later_line_moves_none_of_those_before() -> None:
     "options", [Options(threads=2, chunk=37), Options(shuffle_rows=5), Options(backend="reference", chunk=11)], ids=str
 )
 def test_places_are_the_same_whatever_threads_chunks_and_rows(options: Options) -> None:
-    crowds = WAYS["lines and species"]
+    crowds = PLACEMENTS["lines and species"]
     one, other = world(*crowds), world(*crowds, options=options)
     for species in ("ant", "giant"):
         assert np.array_equal(by_id(one, species), by_id(other, species))
 
 
-def test_given_points_are_kept_even_in_each_other() -> None:
+def test_given_points_are_used_even_inside_each_other() -> None:
     points = np.array([[50.0, 0, 0], [51.0, 0, 0], [52.0, 0, 3.0]])
     ants = CrowdData("ant", 300, PlaceData(on=("hill",), around=(50.0, 0, 0), radius=60.0))
-    made = world(ants, CrowdData("giant", 3, PlaceData(points=points), 1))
-    assert np.abs(by_id(made, "giant")[:, [0, 2]] - points[:, [0, 2]]).max() < 1e-4 and made.crowded == []
-    place, radius = discs(made)
+    bound_world = world(ants, CrowdData("giant", 3, PlaceData(points=points), 1))
+    assert np.abs(by_id(bound_world, "giant")[:, [0, 2]] - points[:, [0, 2]]).max() < 1e-4 and bound_world.crowded == []
+    place, radius = discs(bound_world)
     assert np.flatnonzero(overlapping(place, radius)).tolist() == [300, 301, 302]
 
 
-def test_a_radius_of_nothing_keeps_nobody_away() -> None:
+def test_a_radius_of_nothing_keeps_no_agent_away() -> None:
     text = PROGRAM.replace("size uniform(3 mm, 5 mm);", "radius 0 mm;")
-    made = world(CrowdData("ant", 3000, PlaceData(around=(100.0, 0, 0), radius=2.0)), text=text)
-    assert made.crowded == [] and len(made) == 3000
+    bound_world = world(CrowdData("ant", 3000, PlaceData(around=(100.0, 0, 0), radius=2.0)), text=text)
+    assert bound_world.crowded == [] and len(bound_world) == 3000
 
 
 def test_who_joins_keeps_clear_of_those_who_walk() -> None:
@@ -195,17 +195,17 @@ def _fields(setting: Setting) -> dict:
 def test_a_place_without_room_says_how_many_fit(folder: Path) -> None:  # noqa: F811
     shot, report = _opened(folder, "{on: ground, around: apple, radius: 20 mm}", 200)
     assert shot is not None and report.ok
-    made = bind(shot.plan, shot.setting)
-    (told,) = crowding(shot.scene, made).diagnostics
-    (line,) = made.crowded
-    place, radius = discs(made)
+    bound_world = bind(shot.plan, shot.setting)
+    (diagnostic,) = crowding(shot.scene, bound_world).diagnostics
+    (line,) = bound_world.crowded
+    place, radius = discs(bound_world)
     assert (line.count, line.radius) == (200, (2.0, 2.0)) and 45 < line.fit < 60
-    assert told.code == "no-room" and told.severity == "warning"
-    assert told.span is not None and told.span.text == "{on: ground, around: apple, radius: 20 mm}"
-    assert told.message == (
+    assert diagnostic.code == "no-room" and diagnostic.severity == "warning"
+    assert diagnostic.span is not None and diagnostic.span.text == "{on: ground, around: apple, radius: 20 mm}"
+    assert diagnostic.message == (
         f"only {line.fit} of 200 `ant` find room where they begin: with a radius of 2 mm they cover 2,513 of 1,257 mm²"
     )
-    assert told.help == "write `radius: 44 mm`, a smaller `count`, or a smaller `radius` in the program"
+    assert diagnostic.help == "write `radius: 44 mm`, a smaller `count`, or a smaller `radius` in the program"
     # as many as it says do not meet each other
     free = _largest_first(place, radius)
     assert free >= line.fit
@@ -215,11 +215,11 @@ def test_a_place_without_room_says_how_many_fit(folder: Path) -> None:  # noqa: 
 
 def _largest_first(place: np.ndarray, radius: np.ndarray) -> int:
     """How many of the agents, taken one after the other, meet none of those taken."""
-    kept: list[int] = []
+    chosen: list[int] = []
     for k in range(len(place)):
-        if all(np.linalg.norm(place[k] - place[j]) >= radius[k] + radius[j] for j in kept):
-            kept.append(k)
-    return len(kept)
+        if all(np.linalg.norm(place[k] - place[j]) >= radius[k] + radius[j] for j in chosen):
+            chosen.append(k)
+    return len(chosen)
 
 
 def _opened(folder: Path, place: str, count: int) -> tuple[Shot | None, object]:  # noqa: F811
@@ -237,42 +237,42 @@ crowd:
 
 @pytest.mark.parametrize(("share", "all_fit"), [(0.2, True), (0.42, True), (0.5, False), (40.0, False)])
 def test_tries_are_few_however_full_it_is(share: float, all_fit: bool) -> None:
-    n, asked = 2000, [0]
+    n, draw_count = 2000, [0]
     wide = 2.0 * np.sqrt(n / share)
     random = np.random.default_rng(1).random((n, 400, 2))
 
     def draw(ids: np.ndarray, tries: range) -> Drawn:
-        asked[0] += len(ids) * len(tries)
+        draw_count[0] += len(ids) * len(tries)
         u, v = np.concatenate([random[ids, k] for k in tries]).T
         away, angle = np.sqrt(u) * wide, 2 * np.pi * v
         place = np.stack([away * np.cos(angle), 0 * away, away * np.sin(angle)], axis=1)
         return Drawn(Footing.nowhere(len(u)), place, np.zeros_like(place), np.ones(len(u), np.bool_))
 
-    found, fits = spread(Room(), draw, np.arange(n), np.full(n, 2.0), 0)
+    drawn, fits = spread(Occupancy(), draw, np.arange(n), np.full(n, 2.0), 0)
     assert fits.all() == all_fit
-    assert asked[0] <= 40 * n
-    assert not overlapping(found.place[fits], np.full(fits.sum(), 2.0)).any()
+    assert draw_count[0] <= 40 * n
+    assert not overlapping(drawn.place[fits], np.full(fits.sum(), 2.0)).any()
     if share == 0.5:
         assert fits.mean() > 0.9
 
 
 def test_pairs_are_few_where_thousands_want_one_place(monkeypatch: pytest.MonkeyPatch) -> None:
     """Nobody counts all pairs of those who are drawn to one point."""
-    met, most = Room.met, [0]
+    find_overlaps, most = Occupancy.find_overlaps, [0]
 
-    def counted(room: Room, *discs: np.ndarray) -> tuple:
-        found = met(room, *discs)
-        most[0] += len(found[0])
-        return found
+    def counted(occupancy: Occupancy, *discs: np.ndarray) -> tuple:
+        pairs = find_overlaps(occupancy, *discs)
+        most[0] += len(pairs[0])
+        return pairs
 
-    monkeypatch.setattr(spacing.Room, "met", counted)
+    monkeypatch.setattr(spacing.Occupancy, "find_overlaps", counted)
     n = 10_000
 
     def draw(ids: np.ndarray, tries: range) -> Drawn:
         place = np.zeros((len(ids) * len(tries), 3))
         return Drawn(Footing.nowhere(len(place)), place, place.copy(), np.ones(len(place), np.bool_))
 
-    _, fits = spread(Room(), draw, np.arange(n), np.full(n, 2.0), 0)
+    _, fits = spread(Occupancy(), draw, np.arange(n), np.full(n, 2.0), 0)
     assert fits.tolist() == [True] + [False] * (n - 1)
     assert most[0] < 20 * n
 
@@ -295,13 +295,13 @@ BARE = "ant 1\nuse steering\nworld { surface floor }\nspecies ant { size 4 mm; s
 def test_what_is_said_of_no_room_is_true(
     mesh: tuple, place: PlaceData, count: int, area: float, larger: bool, sides: bool
 ) -> None:
-    more = dict(text=BARE, surfaces={"floor": MeshData(*mesh)}, solids={}, obstacles={}, maps={})
-    (line,) = world(CrowdData("ant", count, place), **more).crowded  # type: ignore[arg-type]
+    setting_arguments = dict(text=BARE, surfaces={"floor": MeshData(*mesh)}, solids={}, obstacles={}, maps={})
+    (line,) = world(CrowdData("ant", count, place), **setting_arguments).crowded  # type: ignore[arg-type]
     assert line.area == pytest.approx(area, rel=0.05) and (line.larger is not None, line.sides) == (larger, sides)
     if line.larger is not None:
-        assert world(CrowdData("ant", count, replace(place, radius=line.larger)), **more).crowded == []  # type: ignore[arg-type]
+        assert world(CrowdData("ant", count, replace(place, radius=line.larger)), **setting_arguments).crowded == []  # type: ignore[arg-type]
     if sides:
-        assert world(CrowdData("ant", count, replace(place, by_area=True)), **more).crowded == []  # type: ignore[arg-type]
+        assert world(CrowdData("ant", count, replace(place, by_area=True)), **setting_arguments).crowded == []  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize("by", ["above", "area"])
@@ -324,20 +324,20 @@ def _square(wide: float, seed: int) -> Draw:
 @pytest.mark.parametrize("mixed", [False, True])
 def test_large_ones_do_not_look_through_all_small_ones_below_them(mixed: bool, monkeypatch: pytest.MonkeyPatch) -> None:
     n, compared = 3000, [0]
-    share = Room._share
+    share = Occupancy._share
 
-    def counted(room: Room, place: np.ndarray, radius: np.ndarray, entry: np.ndarray) -> np.ndarray:
+    def counted(occupancy: Occupancy, place: np.ndarray, radius: np.ndarray, entry: np.ndarray) -> np.ndarray:
         compared[0] += entry.size
-        return share(room, place, radius, entry)
+        return share(occupancy, place, radius, entry)
 
-    monkeypatch.setattr(Room, "_share", counted)
-    room = Room()
+    monkeypatch.setattr(Occupancy, "_share", counted)
+    occupancy = Occupancy()
     small, large = np.full(n, 0.1), np.full(n, 200.0)
     first, then = (np.where(np.arange(n) % 2, large, small),) * 2 if mixed else (small, large)
-    fits = spread(room, _square(200.0, 1), np.arange(n), first, 0)[1]
-    more = spread(room, _square(200.0, 2), np.arange(n), then, n)[1]
+    fits = spread(occupancy, _square(200.0, 1), np.arange(n), first, 0)[1]
+    later_fits = spread(occupancy, _square(200.0, 2), np.arange(n), then, n)[1]
     assert fits[first < 1].mean() > 0.9
-    assert more[then > 1].sum() == 0 and compared[0] < 500 * n
+    assert later_fits[then > 1].sum() == 0 and compared[0] < 500 * n
 
 
 @pytest.mark.parametrize("count", [20, 400, 3000])
@@ -345,12 +345,12 @@ def test_how_free_a_large_disc_is_among_small_ones_is_exact(count: int) -> None:
     draw = np.random.default_rng(count)
     small, wide = draw.random((count, 3)) * 100, 0.05 + 0.05 * draw.random(count)
     large, size = draw.random((200, 3)) * 100, 0.5 + 20 * draw.random(200)
-    room = Room()
-    room.add(small, wide, np.arange(count))
-    room.settle()
+    occupancy = Occupancy()
+    occupancy.add(small, wide, np.arange(count))
+    occupancy.settle()
     away = np.sqrt(((large[:, None] - small[None]) ** 2).sum(axis=2))
     expected = np.minimum((away / ((size[:, None] + wide[None]) * 1.001)).min(axis=1), 1)
-    assert room.free(large, size, np.full(200, count)) == pytest.approx(expected, rel=1e-12)
+    assert occupancy.free(large, size, np.full(200, count)) == pytest.approx(expected, rel=1e-12)
 
 
 # --- by area -------------------------------------------------------------------------------------------------------------
@@ -359,13 +359,13 @@ def test_how_free_a_large_disc_is_among_small_ones_is_exact(count: int) -> None:
 def sphere(**place: object) -> World:
     text = "ant 1\nuse steering\nworld { surface ball }\nspecies ant { size 2 mm; state go { steer wander() } }\n"
     crowd = CrowdData("ant", 2000, PlaceData(on=("ball",), **place))  # type: ignore[arg-type]
-    made = MeshData(*meshes.ball(100.0, at=(20, 30, 40), rings=24))
-    return world(crowd, text=text, surfaces={"ball": made}, solids={}, obstacles={}, maps={})
+    ball_mesh = MeshData(*meshes.ball(100.0, at=(20, 30, 40), rings=24))
+    return world(crowd, text=text, surfaces={"ball": ball_mesh}, solids={}, obstacles={}, maps={})
 
 
 def test_by_area_covers_every_side_alike_and_stands_outside() -> None:
-    made = sphere(by_area=True)
-    ants = made.populations["ant"]
+    bound_world = sphere(by_area=True)
+    ants = bound_world.populations["ant"]
     away = (ants.position - [20, 30, 40]) / 100
     assert (away * ants.vector("up")).sum(axis=1).min() > 0.98
     for axis in range(3):  # by Archimedes each coordinate of a point of a sphere is even
@@ -375,30 +375,30 @@ def test_by_area_covers_every_side_alike_and_stands_outside() -> None:
 
 
 def test_by_area_keeps_to_a_ball_about_a_place() -> None:
-    made = sphere(by_area=True, around=(20.0, -70.0, 40.0), radius=80.0)  # the lowest point
-    away = np.linalg.norm(made.populations["ant"].position - [20, -70, 40], axis=1)
-    assert away.max() <= 80 and made.crowded == []
+    bound_world = sphere(by_area=True, around=(20.0, -70.0, 40.0), radius=80.0)  # the lowest point
+    away = np.linalg.norm(bound_world.populations["ant"].position - [20, -70, 40], axis=1)
+    assert away.max() <= 80 and bound_world.crowded == []
     # the part of a sphere within a distance of one of its points grows with the square of that
     assert np.abs(np.sort((away / 80) ** 2) - np.linspace(0, 1, 2000)).max() < 0.05
-    assert made.populations["ant"].vector("up")[:, 1].max() < 0
+    assert bound_world.populations["ant"].vector("up")[:, 1].max() < 0
 
 
 def test_by_area_finds_a_small_ball_on_large_faces() -> None:
     big = MeshData(*meshes.grid(100_000.0, 1))
     crowd = CrowdData("ant", 300, PlaceData(around=(900.0, 0.0, -400.0), radius=60.0, by_area=True))
     text = "ant 1\nuse steering\nworld { surface floor }\nspecies ant { state go { steer wander() } }\n"
-    made = world(crowd, text=text, surfaces={"floor": big}, solids={}, obstacles={}, maps={})
-    assert made.crowded == []
-    assert np.linalg.norm(made.populations["ant"].position - [900, 0, -400], axis=1).max() <= 60
+    bound_world = world(crowd, text=text, surfaces={"floor": big}, solids={}, obstacles={}, maps={})
+    assert bound_world.crowded == []
+    assert np.linalg.norm(bound_world.populations["ant"].position - [900, 0, -400], axis=1).max() <= 60
 
 
-def test_a_solid_by_area_is_stood_on_from_all_sides() -> None:
-    made = world(*WAYS["solid by area"], text=BLOCK)
-    ants = made.populations["ant"]
+def test_a_solid_by_area_is_covered_on_all_sides() -> None:
+    bound_world = world(*PLACEMENTS["solid by area"], text=BLOCK)
+    ants = bound_world.populations["ant"]
     up = ants.vector("up")
     for axis in range(3):
         assert (up[:, axis] > 0.9).sum() > 30 and (up[:, axis] < -0.9).sum() > 30
-    assert np.abs(made.solids["block"].sample(ants.position)).max() < 0.1
+    assert np.abs(bound_world.solids["block"].sample(ants.position)).max() < 0.1
 
 
 def test_a_density_goes_by_the_map_on_the_underside_too() -> None:
@@ -406,8 +406,8 @@ def test_a_density_goes_by_the_map_on_the_underside_too() -> None:
     text = "ant 1\nuse steering\nworld { surface ball; map damp }\nspecies ant { size 2 mm; state go { steer wander() } }\n"
     crowd = CrowdData("ant", 1000, PlaceData(density="damp", by_area=True))
     damp = {"damp": Painted("ball", np.where(ball[0][:, 1] < 0, 1.0, 0.0))}
-    made = world(crowd, text=text, surfaces={"ball": MeshData(*ball)}, solids={}, obstacles={}, maps=damp)
-    assert made.populations["ant"].position[:, 1].max() <= 8
+    bound_world = world(crowd, text=text, surfaces={"ball": MeshData(*ball)}, solids={}, obstacles={}, maps=damp)
+    assert bound_world.populations["ant"].position[:, 1].max() <= 8
 
 
 @pytest.mark.parametrize(
@@ -417,7 +417,7 @@ def test_a_density_goes_by_the_map_on_the_underside_too() -> None:
         ("{on: ground, by: volume}", "`volume` is none of `above`, `area`"),
     ],
 )
-def test_what_cannot_be_by_area_is_told(folder: Path, place: str, words: str) -> None:  # noqa: F811
+def test_what_cannot_be_by_area_is_reported(folder: Path, place: str, words: str) -> None:  # noqa: F811
     shot, report = _opened(folder, place, 5)
     assert shot is None and words in " ".join(d.message + (d.help or "") for d in report.errors)  # type: ignore[attr-defined]
 
@@ -429,7 +429,7 @@ def test_points_by_area_go_to_the_nearest_place(folder: Path) -> None:  # noqa: 
     (folder / "points.json").write_text(json.dumps([[0, 5, 0], [20, 5, 20]]))
     shot, report = _opened(folder, "{on: ground, points: points.json, by: area}", 2)
     assert shot is not None, report
-    made = bind(shot.plan, shot.setting)
-    assert np.abs(np.sort(made.populations["ant"].position[:, 0]) - [0, 20]).max() < 5
+    bound_world = bind(shot.plan, shot.setting)
+    assert np.abs(np.sort(bound_world.populations["ant"].position[:, 0]) - [0, 20]).max() < 5
     ball = sphere(by_area=True, points=np.array([[20.0, -80.0, 40.0]]))
     assert ball.populations["ant"].position[:, 1].max() < -65

@@ -44,10 +44,10 @@ def test_a_disc_beside_all_surfaces(folder: Path, place: str, beside: bool) -> N
     assert PLACE in SCENE
     shot, report = opened(folder, SCENE.replace(PLACE, place))
     assert shot is not None
-    told = [(d.severity, d.span.text if d.span else "") for d in report.diagnostics if d.code == "off-surface"]
-    assert told == ([("warning", place)] if beside else [])
-    made = bind(shot.plan, shot.setting)
-    assert len(made) == 5 and surface_error(made) < 0.01
+    warnings = [(d.severity, d.span.text if d.span else "") for d in report.diagnostics if d.code == "off-surface"]
+    assert warnings == ([("warning", place)] if beside else [])
+    bound_world = bind(shot.plan, shot.setting)
+    assert len(bound_world) == 5 and surface_error(bound_world) < 0.01
 
 
 @pytest.mark.parametrize(
@@ -59,8 +59,10 @@ def test_a_ball_inside_or_outside_of_what_is_closed(middle: float, radius: float
     assert beside(place, {}, {"block": SolidData(block, 2.0)}, "y") == is_beside
     text = "ant 1\nuse steering\nworld { solid block }\nspecies ant { size 2 mm; state go { steer wander() } }\n"
     solids = {"block": SolidData(block, 2.0)}
-    made = world(CrowdData("ant", 9, place), text=text, surfaces={}, solids=solids, obstacles={}, maps={})
-    assert len(made) == 9 and np.abs(made.solids["block"].sample(made.populations["ant"].position)).max() < 0.1
+    bound_world = world(CrowdData("ant", 9, place), text=text, surfaces={}, solids=solids, obstacles={}, maps={})
+    assert (
+        len(bound_world) == 9 and np.abs(bound_world.solids["block"].sample(bound_world.populations["ant"].position)).max() < 0.1
+    )
 
 
 def test_a_hole_in_the_ground_is_beside_it() -> None:
@@ -85,7 +87,7 @@ def test_a_restart_tells_of_a_ball_that_meets_nothing(tmp_path: Path) -> None:
     session.step()
 
 
-def test_nobody_is_told_of_a_crowd_of_none(folder: Path) -> None:  # noqa: F811
+def test_an_empty_crowd_gives_no_warning(folder: Path) -> None:  # noqa: F811
     text = SCENE.replace(PLACE, "{around: [900, 0, 0], radius: 20 mm}").replace("count: 5", "count: 0")
     _, report = opened(folder, text)
     assert "off-surface" not in {d.code for d in report.diagnostics}

@@ -15,7 +15,7 @@ from antdsl.runtime import Options, World, bind, step
 EXAMPLE = Path(__file__).resolve().parents[2] / "examples" / "torture"
 
 
-def begun(folder: Path, place: str, count: int = 300) -> World:
+def bind_crowd(folder: Path, place: str, count: int = 300) -> World:
     """The crowd of a scene with the can and the cube of the torture example."""
     for name in ("can.ply", "cube.ply"):
         shutil.copy(EXAMPLE / name, folder)
@@ -37,27 +37,27 @@ def begun(folder: Path, place: str, count: int = 300) -> World:
 
 @pytest.mark.parametrize("place", ["{inside: [0, 20, 0]}", "{inside: one, on: can}"])
 def test_they_begin_inside_on_all_walls_and_stay_there(tmp_path: Path, place: str) -> None:
-    world = begun(tmp_path, place)
+    world = bind_crowd(tmp_path, place)
     ants = world.populations["ant"]
     position, up = ants.position, np.stack([ants.now[f"up.{axis}"] for axis in "xyz"], axis=1)
     away = np.hypot(position[:, 0], position[:, 2])
     within = (position[:, 1] > 0) & (position[:, 1] < SHAPES.CAN) & (away < SHAPES.RIM)
     assert within.mean() > (0.9 if "on" not in place else 0.999)  # through the hole in the lid some see the sky
-    seen = position[within]
-    assert ((np.array([0.0, 20.0, 0.0]) - seen) * up[within]).sum(axis=1).min() > 0  # they face the middle
+    positions_inside = position[within]
+    assert ((np.array([0.0, 20.0, 0.0]) - positions_inside) * up[within]).sum(axis=1).min() > 0  # they face the middle
     assert (up[:, 1] > 0.9).sum() > 20 and (up[:, 1] < -0.9).sum() > 20 and (np.abs(up[:, 1]) < 0.1).sum() > 100
     for _ in range(24):
         step(world)
     assert np.isfinite(ants.position).all()
 
 
-def test_more_agents_move_nobody(tmp_path: Path) -> None:
-    some, more = (begun(tmp_path, "{inside: [0, 20, 0]}", count).populations["ant"].position for count in (100, 150))
-    assert np.array_equal(some, more[:100])
+def test_more_agents_move_no_others(tmp_path: Path) -> None:
+    smaller, larger = (bind_crowd(tmp_path, "{inside: [0, 20, 0]}", count).populations["ant"].position for count in (100, 150))
+    assert np.array_equal(smaller, larger[:100])
 
 
-def test_inside_a_cube_nobody_is_outside_it(tmp_path: Path) -> None:
-    world = begun(tmp_path, "{inside: [100, 20, 0]}")
+def test_inside_a_cube_no_agent_is_outside_it(tmp_path: Path) -> None:
+    world = bind_crowd(tmp_path, "{inside: [100, 20, 0]}")
     ants = world.populations["ant"]
     up = np.stack([ants.now[f"up.{axis}"] for axis in "xyz"], axis=1)
     vertices, faces = SHAPES.cube()
@@ -71,9 +71,9 @@ def test_inside_a_cube_nobody_is_outside_it(tmp_path: Path) -> None:
 @pytest.mark.parametrize("other", ["radius: 5 mm", "around: one, radius: 5 mm", "density: one"])
 def test_one_way_to_place_a_crowd(tmp_path: Path, other: str) -> None:
     with pytest.raises(AssertionError, match="`inside`"):
-        begun(tmp_path, f"{{inside: [0, 20, 0], {other}}}")
+        bind_crowd(tmp_path, f"{{inside: [0, 20, 0], {other}}}")
 
 
 def test_an_item_that_is_not_there(tmp_path: Path) -> None:
     with pytest.raises(AssertionError, match="no item is named `two`"):
-        begun(tmp_path, "{inside: two}")
+        bind_crowd(tmp_path, "{inside: two}")

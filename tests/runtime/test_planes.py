@@ -14,13 +14,13 @@ N = 3000
 
 
 def vectors(rng: np.random.Generator, size: float) -> np.ndarray:
-    found = rng.normal(0, size, (3, N)).astype(np.float32)
-    found[:, rng.random(N) < 0.1] = 0.0
-    found[:, rng.random(N) < 0.05] *= np.float32(1e-20)
-    found[rng.integers(0, 3, 40), rng.integers(0, N, 40)] = np.nan
-    found[rng.integers(0, 3, 40), rng.integers(0, N, 40)] = np.inf
-    found[rng.integers(0, 3, 200), rng.integers(0, N, 200)] = -0.0
-    return found
+    random_vectors = rng.normal(0, size, (3, N)).astype(np.float32)
+    random_vectors[:, rng.random(N) < 0.1] = 0.0
+    random_vectors[:, rng.random(N) < 0.05] *= np.float32(1e-20)
+    random_vectors[rng.integers(0, 3, 40), rng.integers(0, N, 40)] = np.nan
+    random_vectors[rng.integers(0, 3, 40), rng.integers(0, N, 40)] = np.inf
+    random_vectors[rng.integers(0, 3, 200), rng.integers(0, N, 200)] = -0.0
+    return random_vectors
 
 
 def of(name: str, three: np.ndarray) -> dict[str, np.ndarray]:
@@ -43,16 +43,16 @@ def test_planes_and_moves_are_those_of_the_ground(threads: int, monkeypatch: pyt
     x, y = rng.normal(0, 9, (2, len(rows)))
     plane = Plane.of(population, rows, threads)
     moves = plane.moves(population, rows, wish, threads)
-    found = (*plane.up, *plane.ahead, *plane.left, *moves.own, *moves.velocity, *moves.wish, moves.fastest)
+    results = (*plane.up, *plane.ahead, *plane.left, *moves.own, *moves.velocity, *moves.wish, moves.fastest)
 
     def known(name: str) -> np.ndarray:
         v = np.stack([start[f"{name}.{axis}"] for axis in "xyz"], axis=1)[rows].astype(float)
         return np.where(np.isfinite(v).all(axis=1, keepdims=True), v, 0.0)
 
     with np.errstate(all="ignore"):
-        above, way, velocity = known("up"), known("heading"), known("velocity")
+        above, facing, velocity = known("up"), known("heading"), known("velocity")
         wished = np.where(np.isfinite(wish).all(axis=0), wish, 0).T.astype(float)
-        ahead = way - above * (way * above).sum(axis=1, keepdims=True)
+        ahead = facing - above * (facing * above).sum(axis=1, keepdims=True)
         size = np.linalg.norm(ahead, axis=1, keepdims=True)
         side = np.where(np.abs(above[:, :1]) > 0.9, [[0.0, 1, 0]], [[1.0, 0, 0]])
         side -= above * (side * above).sum(axis=1, keepdims=True)
@@ -60,9 +60,9 @@ def test_planes_and_moves_are_those_of_the_ground(threads: int, monkeypatch: pyt
         left = np.cross(above, ahead)
         speed = start["max_speed"][rows].astype(float)
     laid = [(v * axis).sum(axis=1) for v in (velocity, wished) for axis in (ahead, left)]
-    wanted = (*above.T, *ahead.T, *left.T, *velocity.T, *laid, np.where(speed > 0, np.minimum(speed, 1e9), 0.0))
+    expected = (*above.T, *ahead.T, *left.T, *velocity.T, *laid, np.where(speed > 0, np.minimum(speed, 1e9), 0.0))
     sure = (size[:, 0] == 0) | (size[:, 0] > 1e-6)  # else the way along the ground is what rounding leaves
-    for one, other in zip(found, wanted, strict=True):
+    for one, other in zip(results, expected, strict=True):
         assert np.allclose(one[sure], other[sure], rtol=1e-9, atol=1e-9, equal_nan=True)
     assert sure.mean() > 0.8 and (size == 0).sum() > 10
     raised = np.stack(plane.raised(x, y, threads))

@@ -105,39 +105,39 @@ class Clock:
         return self.now
 
     def slow(self, call: Callable[..., Any], seconds: float) -> Callable[..., Any]:
-        def run(*words: Any, **more: Any) -> Any:
+        def run(*words: Any, **keywords: Any) -> Any:
             self.now += seconds
-            return call(*words, **more)
+            return call(*words, **keywords)
 
         return run
 
 
 @pytest.fixture
 def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
-    found = Clock()
+    fake_clock = Clock()
     for module in (metering, numpy_backend, phases):
-        monkeypatch.setattr(module, "perf_counter", found)
-    return found
+        monkeypatch.setattr(module, "perf_counter", fake_clock)
+    return fake_clock
 
 
-def test_what_a_behaviour_takes_is_told_of_its_own_line_and_of_the_layer_that_calls_it(
+def test_time_of_a_behaviour_counts_for_its_own_line_and_for_the_layer_that_calls_it(
     shot: Shot, clock: Clock, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(numpy_calls.SENSES, "ray", clock.slow(numpy_calls.SENSES["ray"], 0.25))
     monkeypatch.setitem(numpy_calls.SENSES, "field.value", clock.slow(numpy_calls.SENSES["field.value"], 0.05))
-    found = measured(bind(shot.plan, shot.setting, NUMPY), 4)
-    assert found.frames == 4
-    assert [(each.line, each.text, round(each.ms, 6)) for each in found.lines] == [
+    profile = measured(bind(shot.plan, shot.setting, NUMPY), 4)
+    assert profile.frames == 4
+    assert [(each.line, each.text, round(each.ms, 6)) for each in profile.lines] == [
         (4, "let seen = feelers(on, count: 1, reach: reach)", 250.0),
         (11, "when scent > 0.5 -> rest", 50.0),
     ]
-    assert [Path(each.file).name for each in found.lines] == ["mine.ant", "life.ant"]
-    assert [(each.species, each.span.text, round(each.ms, 6)) for each in found.layers] == [
+    assert [Path(each.file).name for each in profile.lines] == ["mine.ant", "life.ant"]
+    assert [(each.species, each.span.text, round(each.ms, 6)) for each in profile.layers] == [
         ("ant", "mine.keep_off(stones, reach: 8 mm)", 250.0),
         ("ant", "state", 0.0),
     ]
-    assert round(found.total, 6) == 300.0
-    assert {name: round(ms, 6) for name, ms in found.phases.items() if ms} == {"decide": 50.0, "blend": 250.0}
+    assert round(profile.total, 6) == 300.0
+    assert {name: round(ms, 6) for name, ms in profile.phases.items() if ms} == {"decide": 50.0, "blend": 250.0}
 
 
 def test_where_threads_go_side_by_side_lines_share_the_time_that_passed(
@@ -146,8 +146,8 @@ def test_where_threads_go_side_by_side_lines_share_the_time_that_passed(
     """Each chunk takes a quarter second of its thread's own time; by the clock of all, they take half a second together."""
     monkeypatch.setattr(numpy_backend, "perf_counter", lambda: 2.0 * clock.now / 4)
     monkeypatch.setitem(numpy_calls.SENSES, "field.value", clock.slow(numpy_calls.SENSES["field.value"], 0.25))
-    found = measured(bind(shot.plan, shot.setting, Options(chunk=15, backend="numpy")), 3)
-    assert [round(each.ms, 6) for each in found.lines] == [500.0]
+    profile = measured(bind(shot.plan, shot.setting, Options(chunk=15, backend="numpy")), 3)
+    assert [round(each.ms, 6) for each in profile.lines] == [500.0]
 
 
 @pytest.mark.parametrize(
@@ -158,12 +158,12 @@ def test_the_lines_add_up_to_nearly_all_of_the_blocks(options: Options) -> None:
     shot = opened(FORAGING.with_name("scene.yaml"), 2000)
     world = bind(shot.plan, shot.setting, options)
     step(world)
-    found = measured(world, 6)
-    lines, blocks = sum(each.ms for each in found.lines), sum(found.phases[name] for name in BLOCKS)
+    profile = measured(world, 6)
+    lines, blocks = sum(each.ms for each in profile.lines), sum(profile.phases[name] for name in BLOCKS)
     assert 0.6 * blocks < lines <= blocks
-    assert sum(each.ms for each in found.layers) <= found.phases["blend"]
-    assert found.total == pytest.approx(sum(found.phases.values()))
-    assert [each.ms for each in found.lines] == sorted((each.ms for each in found.lines), reverse=True)
+    assert sum(each.ms for each in profile.layers) <= profile.phases["blend"]
+    assert profile.total == pytest.approx(sum(profile.phases.values()))
+    assert [each.ms for each in profile.lines] == sorted((each.ms for each in profile.lines), reverse=True)
 
 
 @pytest.mark.parametrize("options", [Options(backend="numpy"), Options(threads=2, chunk=16, backend="numpy")])
@@ -187,12 +187,12 @@ def test_a_world_that_is_not_measured_any_more_has_its_own_calls_again() -> None
     shot = opened(FORAGING, 10)
     world = bind(shot.plan, shot.setting)
     compilers = world.backend._blocks.values()
-    before = [list(compiler.root.calls) for compiler in compilers]
+    own_calls = [list(compiler.root.calls) for compiler in compilers]
     meter = Meter()
     measured(world, 1, meter)
-    assert [list(compiler.root.calls) for compiler in compilers] != before
+    assert [list(compiler.root.calls) for compiler in compilers] != own_calls
     meter.stop()
-    assert [list(compiler.root.calls) for compiler in compilers] == before
+    assert [list(compiler.root.calls) for compiler in compilers] == own_calls
     assert world.backend.metered == {}
     assert meter.profile().frames == 1, "what was measured stays"
 
@@ -211,9 +211,9 @@ def test_a_profile_is_of_the_last_second(shot: Shot, clock: Clock) -> None:
 
 
 def test_the_reference_backend_tells_of_phases(shot: Shot) -> None:
-    found = measured(bind(shot.plan, shot.setting, Options(backend="reference")), 1)
-    assert found.total > 0 and found.phases["act"] > 0 and not found.lines
-    assert [each.ms for each in found.layers] == [0.0, 0.0]
+    profile = measured(bind(shot.plan, shot.setting, Options(backend="reference")), 1)
+    assert profile.total > 0 and profile.phases["act"] > 0 and not profile.lines
+    assert [each.ms for each in profile.layers] == [0.0, 0.0]
 
 
 def test_a_session_is_measured_across_edits_and_back_in_time(shot: Shot) -> None:
@@ -230,9 +230,9 @@ def test_a_session_is_measured_across_edits_and_back_in_time(shot: Shot) -> None
     program.write_text(PROGRAM.replace("steer wander()", "steer wander() * 0.5"))
     assert session.reload().ok
     session.step()
-    found = session.meter.profile()
-    assert found.frames == 1, "what was measured of the old program is forgotten"
-    assert any(each.text == "steer wander() * 0.5" for each in found.lines)
+    profile = session.meter.profile()
+    assert profile.frames == 1, "what was measured of the old program is forgotten"
+    assert any(each.text == "steer wander() * 0.5" for each in profile.lines)
     session.seek(2)
     session.measure(False)
     assert session.meter is None
@@ -248,23 +248,23 @@ def test_run_tells_where_the_time_went(shot: Shot, tmp_path: Path) -> None:
     words = [sys.executable, "-m", "antdsl", "run", "scene.yaml", "--frames", "1..6"]
     environment = child_environment(NO_COLOR="1", COLUMNS="120")
     hashes = []
-    for more in ([], ["--profile"]):
-        done = subprocess.run(
-            [*words, "--out", f"out{len(more)}", "--quiet", *more, "--summary", "summary.json"],
+    for flags in ([], ["--profile"]):
+        process = subprocess.run(
+            [*words, "--out", f"out{len(flags)}", "--quiet", *flags, "--summary", "summary.json"],
             cwd=tmp_path,
             env=environment,
             capture_output=True,
             text=True,
             timeout=60,
         )
-        assert done.returncode == 0, done.stderr
+        assert process.returncode == 0, process.stderr
         hashes.append([line for line in (tmp_path / "summary.json").read_text().splitlines() if "state_hash" in line])
     assert hashes[0] == hashes[1] and hashes[0]
     by = r"(4 frames, by (NumPy|machine code)|\d frames?, by machine code; left out: \d by NumPy before)"
-    assert re.match(r"[0-9.]+ ms a frame, [0-9.]+ ms of processors, over " + by + "\n", done.stdout)
-    parts = done.stdout.split("\n\n")
-    heads = [re.split(r"  +", part.splitlines()[0].strip()) for part in parts[1:]]
-    assert heads == [["ms", "cpu ms", "%", "phase"], ["ms", "%", "of", "layer"], ["ms", "%", "in", "line"]]
+    assert re.match(r"[0-9.]+ ms a frame, [0-9.]+ ms of processors, over " + by + "\n", process.stdout)
+    parts = process.stdout.split("\n\n")
+    headings = [re.split(r"  +", part.splitlines()[0].strip()) for part in parts[1:]]
+    assert headings == [["ms", "cpu ms", "%", "phase"], ["ms", "%", "of", "layer"], ["ms", "%", "in", "line"]]
     assert "mine.keep_off(stones, reach: 8 mm)" in parts[2] and "ant" in parts[2]
     assert len(parts[3].strip().splitlines()) == MOST + 1
 
@@ -273,21 +273,21 @@ def test_a_profile_tells_processor_time_and_keeps_its_figures_at_eighty_columns(
     shot: Shot, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("COLUMNS", "80")
-    found = measured(bind(shot.plan, shot.setting), 3)
-    assert set(found.worked) == set(found.phases) and sum(found.worked.values()) > 0
-    show(found, lines=True)
-    told = capsys.readouterr().out.splitlines()
+    profile = measured(bind(shot.plan, shot.setting), 3)
+    assert set(profile.worked) == set(profile.phases) and sum(profile.worked.values()) > 0
+    show(profile, lines=True)
+    output_lines = capsys.readouterr().out.splitlines()
     figures = re.compile(r" *\d+\.\d\d( +\d+\.\d\d)? +\d+  ")
-    for line in told[1:]:
+    for line in output_lines[1:]:
         assert len(line) <= 80 and (not line.strip() or " ms  " in line or figures.match(line)), line
-    assert "cpu ms" in told[2]
+    assert "cpu ms" in output_lines[2]
 
 
 def test_measuring_motion_is_no_part_of_births(shot: Shot, clock: Clock, monkeypatch: pytest.MonkeyPatch) -> None:
     world = bind(shot.plan, shot.setting)
     monkeypatch.setattr(Motion, "observe", clock.slow(Motion.observe, 0.5))
-    found = measured(world, 2)
-    assert {name: round(ms) for name, ms in found.phases.items() if ms} == {"motion": 500}
+    profile = measured(world, 2)
+    assert {name: round(ms) for name, ms in profile.phases.items() if ms} == {"motion": 500}
 
 
 # --- machine code ------------------------------------------------------------------------------------------------------
@@ -325,15 +325,15 @@ def lines_of(world: World, meter: Meter) -> dict[str, float]:
 
 @in_code
 def test_lines_of_machine_code_have_the_time_that_they_take() -> None:
-    world = play(WEIGHED, crowd(2000, radius=300), ways=(NATIVE,)).world
+    world = play(WEIGHED, crowd(2000, radius=300), option_sets=(NATIVE,)).world
     least: dict[str, float] = {}
     for _ in range(12):  # what else the machine does is not in the least of them
         meter = Meter(None)
-        found = lines_of(world, meter)
-        least = {name: min(ms, least.get(name, ms)) for name, ms in found.items()}
+        line_times = lines_of(world, meter)
+        least = {name: min(ms, least.get(name, ms)) for name, ms in line_times.items()}
         profile = meter.profile()
         assert profile.by == {"machine code": 1}
-        assert 0 < sum(found.values()) <= sum(profile.phases[name] for name in BLOCKS) + 1e-9
+        assert 0 < sum(line_times.values()) <= sum(profile.phases[name] for name in BLOCKS) + 1e-9
     few, many, alone = "few = few + 1", f"many = {WEIGHTS}", "alone = sum(n in neighbours(4 mm): n.few)"
     assert {few, many, alone, "pace = pace * 0.9 + id * 0.01", "when id < 0 -> never"} <= set(least)
     assert min(least.values()) > 0
@@ -362,21 +362,21 @@ species a {{
 
 def between(lines: list[str], mark: str, word: str) -> list[int]:
     """How often a word stands between two lines with a mark, without those where it does not."""
-    found = [0]
+    counts = [0]
     for line in lines:
         if mark in line:
-            found.append(0)
-        found[-1] += word in line
-    return sorted(filter(None, found))
+            counts.append(0)
+        counts[-1] += word in line
+    return sorted(filter(None, counts))
 
 
 @in_code
 @pytest.mark.parametrize("target", [machine.ANY, replace(machine.ANY, cpu="x86-64", features="-avx2,-fma")])
 def test_what_a_line_works_out_is_worked_out_between_its_marks(target: machine.Target) -> None:
     """Though all of it is read in another line, and LLVM would work it out there, or beside what another line works out."""
-    world = play(ROOTS, crowd(3, radius=3), ways=(NUMPY,)).world
-    made = programs.program(world.plan, world.backend.blocks, programs.Facts(False, False, True), target)  # type: ignore[union-attr]
-    text = made.units["a.act.0"]
+    world = play(ROOTS, crowd(3, radius=3), option_sets=(NUMPY,)).world
+    timed_program = programs.program(world.plan, world.backend.blocks, programs.Facts(False, False, True), target)  # type: ignore[union-attr]
+    text = timed_program.units["a.act.0"]
     body = text[text.index("@a.act.0.inside(ptr %t, i64 %begin, i64 %end) noinline") :].splitlines()
     assert between(body, "@llvm.readcyclecounter()", "@llvm.sqrt") == [3, 6, 11]
     code = machine.assembly(text, target).splitlines()
@@ -395,7 +395,7 @@ def test_machine_code_is_the_same_to_the_bit_while_it_is_measured_and_has_marks_
     monkeypatch.setitem(runner.IN_PLACE, "ray", (clock.slow(answer, 0.25), nothing))  # type: ignore[arg-type]
     function = ready.Ready.function
     monkeypatch.setattr(ready.Ready, "function", lambda self, name: clock.slow(function(self, name), 0.01))
-    plain, watched = (bind(shot.plan, shot.setting, way) for way in (Options(backend="numpy"), NATIVE))
+    plain, watched = (bind(shot.plan, shot.setting, options) for options in (Options(backend="numpy"), NATIVE))
     meter = Meter(None)
     codes = []
     for frame in range(15):
@@ -411,21 +411,22 @@ def test_machine_code_is_the_same_to_the_bit_while_it_is_measured_and_has_marks_
     usual, timed = codes[0], codes[5]
     assert codes == [usual] * 5 + [timed] * 5 + [usual] * 5
     assert "readcyclecounter" in timed.program.text and "readcyclecounter" not in usual.program.text
-    found = meter.profile()
-    assert found.frames == 5 and found.by == {"machine code": 5}
+    profile = meter.profile()
+    assert profile.frames == 5 and profile.by == {"machine code": 5}
     stages = sum(len(code.names) for code in timed.program.blocks.values())
-    spent = sum(each.ms for each in found.lines)
+    spent = sum(each.ms for each in profile.lines)
     assert (
-        found.lines[0].text == "let seen = feelers(on, count: 1, reach: reach)" and 250 <= found.lines[0].ms < 250 + 10 * stages
+        profile.lines[0].text == "let seen = feelers(on, count: 1, reach: reach)"
+        and 250 <= profile.lines[0].ms < 250 + 10 * stages
     )
     assert 250 < spent <= 250 + 10 * stages + 1e-6
-    assert {"when scent > 0.5 -> rest", "steer wander()"} <= {each.text for each in found.lines}
-    assert [each.span.text for each in found.layers if each.ms >= 250] == ["mine.keep_off(stones, reach: 8 mm)"]
+    assert {"when scent > 0.5 -> rest", "steer wander()"} <= {each.text for each in profile.lines}
+    assert [each.span.text for each in profile.layers if each.ms >= 250] == ["mine.keep_off(stones, reach: 8 mm)"]
 
 
 @in_code
 def test_until_code_with_marks_has_come_numpy_is_measured(monkeypatch: pytest.MonkeyPatch) -> None:
-    world = play(WEIGHED, crowd(20, radius=30), ways=(NATIVE,)).world
+    world = play(WEIGHED, crowd(20, radius=30), option_sets=(NATIVE,)).world
     usual = world.backend.ready  # type: ignore[union-attr]
     world.options = Options(backend="native")
     coming: list[tuple[Future[Any], Future[Any]]] = []
@@ -437,12 +438,12 @@ def test_until_code_with_marks_has_come_numpy_is_measured(monkeypatch: pytest.Mo
     monkeypatch.setattr(native_backend, "beside", later)
     monkeypatch.setattr(native_backend, "_LOADING", 0.0)
     monkeypatch.setattr(native_backend, "known", lambda plan, facts: None)
-    meter, found = Meter(None), []
+    meter, times_by_frame = Meter(None), []
     for frame in range(5):
         if frame == 3:
             coming[0][0].set_result(coming[0][1].result())
-        found.append(lines_of(world, meter))
-    assert len(coming) == 1 and all(f"many = {WEIGHTS}" in lines for lines in found)
+        times_by_frame.append(lines_of(world, meter))
+    assert len(coming) == 1 and all(f"many = {WEIGHTS}" in lines for lines in times_by_frame)
     assert meter.profile().by == {"NumPy": 3, "machine code": 2} and meter.profile().frames == 2
     meter.stop()
     step(world)
@@ -451,7 +452,7 @@ def test_until_code_with_marks_has_come_numpy_is_measured(monkeypatch: pytest.Mo
 
 @in_code
 def test_where_no_counter_can_be_read_numpy_is_measured(monkeypatch: pytest.MonkeyPatch) -> None:
-    world = play(WEIGHED, crowd(20, radius=30), ways=(NATIVE,)).world
+    world = play(WEIGHED, crowd(20, radius=30), option_sets=(NATIVE,)).world
     monkeypatch.setattr(machine.Target, "x86", False)
     meter = Meter(None)
     assert lines_of(world, meter)[f"many = {WEIGHTS}"] > 0 and meter.profile().by == {"NumPy": 1}

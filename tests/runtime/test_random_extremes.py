@@ -24,7 +24,7 @@ BY_NONE = {"operation told"}
 def states(plan: ir.Plan, setting: Setting, seed: int, options: Options, frames: int, built: Built) -> list[str]:
     """Hashes of the frames, as far as the crowd is not too large."""
     world = bind(plan, setting, options, built=built)
-    found = [state_hash(world)]
+    hashes = [state_hash(world)]
     for frame in range(frames):
         if len(world) > MOST:
             break
@@ -32,27 +32,27 @@ def states(plan: ir.Plan, setting: Setting, seed: int, options: Options, frames:
         with np.errstate(all="ignore"):
             step(world)
         random_extremes.one_nan(world)
-        found.append(state_hash(world))
-    return found
+        hashes.append(state_hash(world))
+    return hashes
 
 
 @pytest.mark.skipif(not machine.available(), reason="llvmlite is not installed")
 @pytest.mark.filterwarnings("ignore::RuntimeWarning")
 @pytest.mark.parametrize("seed", sampled(range(PROGRAMS), (6, 7)))
 def test_backends_agree_on_whatever_comes(seed: int) -> None:
-    made, built = Extremes(seed), Built()
-    plan, _ = random_extremes.plan_and_program(made)
-    setting = random_extremes.setting(made)
-    way = Options("native", CHUNKS[seed % 4], THREADS[seed % 3], seed, "quarantine", wait_for_code=True)
-    wanted = states(plan, setting, seed, NUMPY, FRAMES, built)
-    assert states(plan, setting, seed, way, FRAMES, built) == wanted
+    extremes, built = Extremes(seed), Built()
+    plan, _ = random_extremes.plan_and_program(extremes)
+    setting = random_extremes.setting(extremes)
+    options = Options("native", CHUNKS[seed % 4], THREADS[seed % 3], seed, "quarantine", wait_for_code=True)
+    expected = states(plan, setting, seed, NUMPY, FRAMES, built)
+    assert states(plan, setting, seed, options, FRAMES, built) == expected
     few = states(plan, setting, seed, REFERENCE, BY_REFERENCE, built)
-    assert few == wanted[: len(few)]
+    assert few == expected[: len(few)]
 
 
 @pytest.mark.slow
 def test_random_programs_have_every_construct() -> None:
-    found: set[str] = set()
+    used_constructs: set[str] = set()
     for seed in range(PROGRAMS):
-        found.update(random_extremes.constructs(*random_extremes.plan_and_program(Extremes(seed))))
-    assert random_extremes.every_construct() - found == BY_NONE
+        used_constructs.update(random_extremes.constructs(*random_extremes.plan_and_program(Extremes(seed))))
+    assert random_extremes.every_construct() - used_constructs == BY_NONE

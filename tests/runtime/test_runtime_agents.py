@@ -25,17 +25,17 @@ def total(world) -> float:
 def eaters(amount: float) -> ir.Plan:
     """Everybody claims from the one item each step; those who won twice give all back to the other."""
     t = plans.Text()
-    here, there = t("const.i32", attrs=(0,)), t("const.i32", attrs=(1,))
+    first_item, second_item = t("const.i32", attrs=(0,)), t("const.i32", attrs=(1,))
     wish = t("mul", amount, t("add", 0.5, t.draw("wish")))
     decide = plans.block(
-        ir.Claim("food", "load", here, wish, "won", "load", "a", None),
-        plans.when(t("lt", t.draw("again"), 0.3), ir.Claim("food", "load", here, wish, "won", "load", "b", None)),
+        ir.Claim("food", "load", first_item, wish, "won", "load", "a", None),
+        plans.when(t("lt", t.draw("again"), 0.3), ir.Claim("food", "load", first_item, wish, "won", "load", "b", None)),
     )
     act = plans.block(
         plans.when(t("load", attrs=("won", 1), kind=B), plans.store("wins", t("add", t.snap("wins"), 1.0))),
         plans.when(
             t("gt", t("load", attrs=("load", 2)), 2.5 * amount),
-            ir.Give("food", "load", there, t("mul", 0.7, t("load", attrs=("load", 2))), "load", None),
+            ir.Give("food", "load", second_item, t("mul", 0.7, t("load", attrs=("load", 2))), "load", None),
         ),
     )
     return plans.bare(
@@ -43,7 +43,7 @@ def eaters(amount: float) -> ir.Plan:
         "load",
         "wins",
         decide=decide,
-        more=(ir.Register("won", B, "temp"),),
+        extra_registers=(ir.Register("won", B, "temp"),),
         items={"food": ir.ItemsPlan("food", {"load": 0.0})},
     )
 
@@ -51,7 +51,7 @@ def eaters(amount: float) -> ir.Plan:
 @pytest.mark.parametrize("amount", [1.0, 0.1, 1 / 3])
 def test_nothing_is_lost_or_made(amount):
     items = {"food": (ItemData("a", (0, 0, 0), 1.0, {"load": 40.0}), ItemData("b", (9, 0, 0), 1.0))}
-    found = []
+    hashes = []
     for options in (Options(), Options(backend="reference"), Options(shuffle_rows=1, chunk=3)):
         world = bind(eaters(amount), plans.crowd(25, items=items), options)
         for _ in range(12):
@@ -59,8 +59,8 @@ def test_nothing_is_lost_or_made(amount):
             assert total(world) == 40.0
             assert world.items["food"].amounts["load"].min() >= 0
         assert world.populations["ant"].now["wins"].max() > 1 and world.items["food"].amounts["load"][1] > 0
-        found.append(state_hash(world))
-    assert len(set(found)) == 1
+        hashes.append(state_hash(world))
+    assert len(set(hashes)) == 1
 
 
 def test_the_last_crumb_goes_to_one():
@@ -71,7 +71,7 @@ def test_the_last_crumb_goes_to_one():
         plans.block(),
         "load",
         decide=decide,
-        more=(ir.Register("won", B, "temp"),),
+        extra_registers=(ir.Register("won", B, "temp"),),
         items={"food": ir.ItemsPlan("food", {"load": 0.0})},
     )
     winners = set()
@@ -94,7 +94,11 @@ def test_claims_on_nothing_win_nothing():
     )
     act = plans.block(ir.Give("food", "load", t.b.row(-1), None, "load", None))
     plan = plans.bare(
-        act, "load", decide=decide, more=(ir.Register("won", B, "temp"),), items={"food": ir.ItemsPlan("food", {"load": 0.0})}
+        act,
+        "load",
+        decide=decide,
+        extra_registers=(ir.Register("won", B, "temp"),),
+        items={"food": ir.ItemsPlan("food", {"load": 0.0})},
     )
     for backend in BACKENDS:
         world = bind(
@@ -150,7 +154,9 @@ def breeders() -> ir.Plan:
         return t("sub", number, t("mul", t("floor", t("div", number, n)), n))
 
     born = plans.block(plans.store("parity", rest(2.0)), plans.store("third", rest(3.0)))
-    plan = plans.bare(act, "parity", "third", "sees", born=born, more=(ir.Register("friend", L, "attribute", -1, of="ant"),))
+    plan = plans.bare(
+        act, "parity", "third", "sees", born=born, extra_registers=(ir.Register("friend", L, "attribute", -1, of="ant"),)
+    )
     return replace(plan)
 
 
@@ -237,11 +243,11 @@ def test_the_quarantined_stand_still_and_the_others_go_on(backend):
     for _ in range(3):
         step(world)
     ants = world.populations["ant"]
-    before = ants.position.copy()
+    old_positions = ants.position.copy()
     out = ants.quarantined.copy()
     assert 0 < out.sum() < 30
     step(world)
-    moved = np.linalg.norm(ants.position - before, axis=1)
+    moved = np.linalg.norm(ants.position - old_positions, axis=1)
     assert not moved[out].any() and (moved[~ants.quarantined] > 0).all() and not ants.quarantined.all()
 
 

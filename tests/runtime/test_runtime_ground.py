@@ -12,12 +12,12 @@ from antdsl.runtime import BindError, Options, bind, checkpoint, restore, state_
 from antdsl.scene.setting import CrowdData, FieldStart, MeshData, Painted, PlaceData, SpreadFlow, Target
 
 
-def mesh(made: meshes.Mesh, shift: float = 0.0) -> MeshData:
-    return MeshData(made[0] + np.array([shift, 0.0, shift]), made[1])
+def mesh(vertices_and_faces: meshes.Mesh, shift: float = 0.0) -> MeshData:
+    return MeshData(vertices_and_faces[0] + np.array([shift, 0.0, shift]), vertices_and_faces[1])
 
 
 def box(middle: tuple[float, float, float], half: float) -> meshes.Mesh:
-    return meshes.box(*(tuple(m + way * half for m in middle) for way in (-1, 1)))  # type: ignore[arg-type]
+    return meshes.box(*(tuple(m + sign * half for m in middle) for sign in (-1, 1)))  # type: ignore[arg-type]
 
 
 def surfaces_plan(diffuse: float = 20.0, cell: float = 5.0) -> ir.Plan:
@@ -73,14 +73,14 @@ def surfaces_plan(diffuse: float = 20.0, cell: float = 5.0) -> ir.Plan:
     )
 
 
-def surfaces_setting(count: int = 60, shift: float = 0.0, **more):
+def surfaces_setting(count: int = 60, shift: float = 0.0, **setting_arguments):
     move = np.array([shift, 0.0, shift])
 
     from antdsl.runtime import Setting
 
     ground = mesh(meshes.grid(200.0, 24, lambda x, z: 8 * np.sin(x / 25) * np.cos(z / 30)), shift)
     line = Target(np.array([[-90.0, 0, 0], [90, 0, 40]]) + move, np.zeros(2), line=True)
-    given = dict(
+    default_setting = dict(
         seed=5,
         flows={"drift": SpreadFlow("tangent", line, 60.0)},
         maps={"damp": Painted("ground", np.abs(ground.vertices[:, 1]) / 8)},
@@ -90,7 +90,7 @@ def surfaces_setting(count: int = 60, shift: float = 0.0, **more):
         crowds=(CrowdData("ant", count, PlaceData(on=("ground",), around=(20.0 + shift, 0.0, shift), radius=60.0)),),
         field_start={"trail": FieldStart(0.5, (shift, 0.0, -60.0 + shift), 30.0)},
     )
-    return Setting(**{**given, **more})
+    return Setting(**{**default_setting, **setting_arguments})
 
 
 def off_surface(world) -> float:
@@ -140,9 +140,9 @@ def test_a_checkpoint_goes_on_to_the_same_hashes():
     world = bind(surfaces_plan(), surfaces_setting(30), Options())
     for _ in range(5):
         step(world)
-    kept = checkpoint(world)
+    saved = checkpoint(world)
     other = bind(surfaces_plan(), surfaces_setting(30), Options(shuffle_rows=9))
-    restore(other, kept)
+    restore(other, saved)
     assert state_hash(other) == state_hash(world)
     for _ in range(6):
         step(world)
@@ -158,8 +158,8 @@ def test_far_from_the_origin_nothing_is_coarse():
         step(near)
         step(far)
     assert far.origin.any() and off_surface(far) < 1e-9 and in_a_stone(far, 3e6) == 0
-    there = far.populations["ant"].position + far.origin - np.array([3e6, 0.0, 3e6])
-    assert np.abs(there - near.populations["ant"].position).max() < 1.0
+    far_positions = far.populations["ant"].position + far.origin - np.array([3e6, 0.0, 3e6])
+    assert np.abs(far_positions - near.populations["ant"].position).max() < 1.0
 
 
 @pytest.mark.parametrize(

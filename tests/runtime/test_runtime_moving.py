@@ -61,29 +61,31 @@ def test_a_kinematic_animal_reaches_its_velocity_in_one_step(substeps):
 def test_a_turn_takes_its_time():
     plan = store_plan((0.0, 0.0, 1.0), max_turn=2.0, **{**STILL, "velocity.x": 30.0})
     world = world_of(plan)
-    before = read(world, "velocity")[0]
+    previous_velocity = read(world, "velocity")[0]
     for _ in range(6):
         step(world)
-        after = read(world, "velocity")[0]
-        turned = np.arccos(np.clip(before @ after / np.linalg.norm(before) / np.linalg.norm(after), -1, 1))
+        velocity = read(world, "velocity")[0]
+        turned = np.arccos(
+            np.clip(previous_velocity @ velocity / np.linalg.norm(previous_velocity) / np.linalg.norm(velocity), -1, 1)
+        )
         assert turned == pytest.approx(2 / 24, rel=1e-3)
-        before = after
+        previous_velocity = velocity
 
 
 @pytest.mark.parametrize("way", [(-1.0, 0.0, 0.0), (-0.6, 0.0, 0.8), (0.0, 0.0, 1.0)])
 def test_the_heading_follows_smoothly_whatever_the_fps(way):
-    found = []
+    end_headings = []
     for fps in (24, 48, 96):
         world = world_of(store_plan(way, max_force=60.0 * fps, **STILL), fps=Fraction(fps))
-        most, before = 0.0, np.array([1.0, 0.0, 0.0])
+        most, previous_heading = 0.0, np.array([1.0, 0.0, 0.0])
         for _ in range(fps // 4):
             step(world)
-            after = read(world, "heading")[0]
-            assert np.linalg.norm(after) == pytest.approx(1, abs=1e-5)
-            most, before = max(most, float(np.linalg.norm(after - before))), after
+            heading = read(world, "heading")[0]
+            assert np.linalg.norm(heading) == pytest.approx(1, abs=1e-5)
+            most, previous_heading = max(most, float(np.linalg.norm(heading - previous_heading))), heading
         assert most < 0.55 * 24 / fps
-        found.append(before)
-    assert found[0] @ found[2] > 0.97 and found[0] @ np.array(way) > 0.5
+        end_headings.append(previous_heading)
+    assert end_headings[0] @ end_headings[2] > 0.97 and end_headings[0] @ np.array(way) > 0.5
 
 
 @pytest.mark.parametrize("substeps", [1, 2])
@@ -117,13 +119,13 @@ def test_who_hardly_moves_does_not_turn():
 
 @pytest.mark.parametrize("fps, substeps", [(25, 1), (48, 1), (24, 2), (96, 1)])
 def test_a_way_does_not_depend_on_the_rate(fps, substeps):
-    def way(fps: int, substeps: int) -> np.ndarray:
+    def end_position(fps: int, substeps: int) -> np.ndarray:
         world = world_of(store_plan((0.6, 0.0, 0.3), **STILL), fps=Fraction(fps), substeps=substeps)
         for _ in range(2 * fps):
             step(world)
         return read(world, "position")[0]
 
-    assert np.linalg.norm(way(fps, substeps) - way(24, 1)) < 0.6  # of 57 mm: first-order steps
+    assert np.linalg.norm(end_position(fps, substeps) - end_position(24, 1)) < 0.6  # of 57 mm: first-order steps
 
 
 def test_no_speed_limit_means_none_and_bad_mass_means_none_moves():

@@ -31,12 +31,12 @@ def test_the_next_run_computes_nothing_again(tmp_path: Path) -> None:
     if signing.signer(create=True) is None:
         pytest.skip("this user can have no private key")
 
-    def once(folder: Path | str) -> list[str]:
+    def set_up(folder: Path | str) -> list[str]:
         command = [sys.executable, "-P", "-c", SET_UP, str(ROOT / "examples/foraging/scene.yaml")]
         environment = child_environment() | {KIND.variable: str(folder)}
         return subprocess.run(command, env=environment, capture_output=True, text=True, check=True).stdout.split()
 
-    never, first, second = once(""), once(tmp_path / "tables"), once(tmp_path / "tables")
+    never, first, second = set_up(""), set_up(tmp_path / "tables"), set_up(tmp_path / "tables")
     assert never[2] == first[2] == second[2]
     assert int(first[0]) > int(second[0]), (first, second)
     assert second[1] == "False"

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import meshes
 import numpy as np
-from meaning import WAYS
+from meaning import OPTION_SETS
 from plan_text import plan_of
 
 from antdsl.machine_code import machine
@@ -19,8 +19,8 @@ from antdsl.scene.staging.moves import MeshMoves
 
 CELL = 2.0
 NATIVE = Options(backend="native", chunk=8, threads=2, wait_for_code=True)
-BOTH = WAYS[::2]
-EVERY = (*WAYS, NATIVE) if machine.available() else WAYS
+BOTH = OPTION_SETS[::2]
+EVERY = (*OPTION_SETS, NATIVE) if machine.available() else OPTION_SETS
 Place = tuple[float, float, float]
 
 
@@ -43,27 +43,27 @@ def smelled(
     up: Place,
     ahead: str,
     turn: str = "0 deg",
-    ways: Sequence[Options] = BOTH,
-    after: int = 0,
+    option_sets: Sequence[Options] = BOTH,
+    start_steps: int = 0,
 ) -> tuple[list[float], World]:
     """What agents that stand there smell after some steps, and the world, whose cells hold their number from 1; the same in
     every way."""
     on = next(iter((*setting.surfaces, *setting.solids)))
     plan = optimise(plan_of(program(ahead, turn), world_of(on)))
-    found, hashes = [], set()
-    for way in ways:
-        world = bind(plan, setting, way)
-        for _ in range(after):
+    smells, hashes = [], set()
+    for options in option_sets:
+        world = bind(plan, setting, options)
+        for _ in range(start_steps):
             step(world)
         stand(world, np.array(stands, np.float64), np.array(faces, np.float64), np.array(up, np.float64))
         values = world.fields["scent"].values
         values[:] = np.arange(len(values)) + 1.0
         step(world)
         ants = world.populations["a"]
-        found.append(ants.now["got"][ants.in_id_order()].tolist())
+        smells.append(ants.now["got"][ants.in_id_order()].tolist())
         hashes.add(state_hash(world))
-    assert all(each == found[0] for each in found) and len(hashes) == 1
-    return found[0], world
+    assert all(each == smells[0] for each in smells) and len(hashes) == 1
+    return smells[0], world
 
 
 def stand(world: World, points: np.ndarray, heading: np.ndarray, up: np.ndarray) -> None:
@@ -91,80 +91,80 @@ def cell(world: World, place: Place, normal: Place) -> float:
     return at + 1.0
 
 
-def setting(ground: meshes.Mesh, count: int, **more: object) -> Setting:
+def setting(ground: meshes.Mesh, count: int, **setting_arguments: object) -> Setting:
     crowds = (CrowdData("a", count, PlaceData(around=(0.0, 0.0, 0.0), radius=1.0)),)
-    return Setting(crowds=crowds, surfaces={"ground": MeshData(*ground)}, seed=4, **more)  # type: ignore[arg-type]
+    return Setting(crowds=crowds, surfaces={"ground": MeshData(*ground)}, seed=4, **setting_arguments)  # type: ignore[arg-type]
 
 
 def test_both_borders_of_a_strip_are_read_in_its_own_cells() -> None:
     """They lie where two cells meet, at 31 mm; of voxels there only those beyond one border touch the surface."""
-    made = setting(meshes.grid(62.0, 7), 4)
+    strip_setting = setting(meshes.grid(62.0, 7), 4)
     stands = [(0.4, 0, 27.3), (0.4, 0, -27.3), (27.3, 0, 8.4), (-27.3, 0, 8.4)]
     faces = [(1, 0, 0), (-1, 0, 0), (0, 0, -1), (0, 0, 1)]
-    got, world = smelled(made, stands, faces, (0, 1, 0), "10 mm", "-90 deg")
+    got, world = smelled(strip_setting, stands, faces, (0, 1, 0), "10 mm", "-90 deg")
     ends = [(0.4, 0, 30), (0.4, 0, -30), (30, 0, 8.4), (-30, 0, 8.4)]
     assert got == [cell(world, end, (0, 1, 0)) for end in ends]
 
 
 def test_ahead_and_to_the_left_and_right_on_a_plane() -> None:
     """Up is y and they face x, so left is -z. The middles of cells lie at even numbers."""
-    made = setting(meshes.grid(60.0, 7), 3)
+    plane_setting = setting(meshes.grid(60.0, 7), 3)
     stands, faces = [(0.4, 0, 0.3), (8.4, 0, 8.0), (-20.0, 0, 4.4)], [(1, 0, 0), (0, 0, 1), (-1, 0, 0)]
     for turn, ends in (
         ("0 deg", [(10.4, 0, 0.3), (8.4, 0, 18), (-30, 0, 4.4)]),
         ("90 deg", [(0.4, 0, -9.7), (18.4, 0, 8), (-20, 0, 14.4)]),
         ("-30 deg", [(9.06, 0, 5.3), (3.4, 0, 16.66), (-28.66, 0, -0.6)]),
     ):
-        got, world = smelled(made, stands, faces, (0, 1, 0), "10 mm", turn)
+        got, world = smelled(plane_setting, stands, faces, (0, 1, 0), "10 mm", turn)
         assert got == [cell(world, end, (0, 1, 0)) for end in ends], turn
 
 
 def test_over_the_edge_of_a_box_and_not_through_the_air() -> None:
     """2.5 mm before the edge and 8 mm ahead: 5.5 mm down the wall. At 45 degrees the way goes on as the edge unfolds."""
-    made = setting(meshes.box((-20, 0, -20), (20, 16, 20)), 2)
+    box_setting = setting(meshes.box((-20, 0, -20), (20, 16, 20)), 2)
     stands, faces = [(17.5, 16, 0.0), (-6.0, 16, -17.0)], [(1, 0, 0), (0, 0, -1)]
-    got, world = smelled(made, stands, faces, (0, 1, 0), "8 mm")
+    got, world = smelled(box_setting, stands, faces, (0, 1, 0), "8 mm")
     assert got == [cell(world, (20, 10.5, 0), (1, 0, 0)), cell(world, (-6, 11, -20), (0, 0, -1))]
     # 10 * sqrt(1/2) = 7.07: 2.5 to the edge, 4.57 down, and 7.07 to the left (-z); 3 of 7.07 to the edge, to -x for the other
-    got, world = smelled(made, stands, faces, (0, 1, 0), "10 mm", "45 deg", ways=EVERY)
+    got, world = smelled(box_setting, stands, faces, (0, 1, 0), "10 mm", "45 deg", option_sets=EVERY)
     assert got == [cell(world, (20, 11.43, -7.07), (1, 0, 0)), cell(world, (-13.07, 11.93, -20), (0, 0, -1))]
 
 
 def test_on_an_underside_and_round_to_the_upper_side() -> None:
     """Head down, facing x, left is +z. The plate is 3 mm thick: from 2 mm before its edge 2 + 3 + 3 mm lead to the upper side."""
-    made = setting(meshes.box((-20, 10, -20), (20, 13, 20)), 2)
+    plate_setting = setting(meshes.box((-20, 10, -20), (20, 13, 20)), 2)
     stands, faces = [(0.2, 10, 0.2), (18.0, 10, 6.0)], [(1, 0, 0), (1, 0, 0)]
-    got, world = smelled(made, stands, faces, (0, -1, 0), "8 mm")
+    got, world = smelled(plate_setting, stands, faces, (0, -1, 0), "8 mm")
     assert got == [cell(world, (8.2, 10, 0.2), (0, -1, 0)), cell(world, (17, 13, 6), (0, 1, 0))]
-    got, world = smelled(made, stands, faces, (0, -1, 0), "8 mm", "90 deg")
+    got, world = smelled(plate_setting, stands, faces, (0, -1, 0), "8 mm", "90 deg")
     assert got == [cell(world, (0.2, 10, 8.2), (0, -1, 0)), cell(world, (18, 10, 14), (0, -1, 0))]
 
 
 def test_a_way_ends_at_a_border() -> None:
     """3 mm before the border of a plate, 12 mm ahead, 60 degrees to the side: it ends 5.2 mm along, where it meets it."""
-    made = setting(meshes.grid(40.0, 5), 1)
+    plate_setting = setting(meshes.grid(40.0, 5), 1)
     for turn, z in (("60 deg", -5.196), ("-60 deg", 5.196), ("0 deg", 0.0)):
-        got, world = smelled(made, [(17.0, 0, 0.0)], [(1, 0, 0)], (0, 1, 0), "12 mm", turn)
+        got, world = smelled(plate_setting, [(17.0, 0, 0.0)], [(1, 0, 0)], (0, 1, 0), "12 mm", turn)
         assert got == [cell(world, (20, 0, z), (0, 1, 0))], turn
 
 
 def test_on_a_solid_and_where_there_is_no_number() -> None:
     box = meshes.box((-20, 0, -20), (20, 16, 20))
     crowds = (CrowdData("a", 2, PlaceData(around=(0.0, 0.0, 0.0), radius=1.0)),)
-    made = Setting(crowds=crowds, solids={"hill": SolidData(MeshData(*box), 1.0)}, seed=4)
+    solid_setting = Setting(crowds=crowds, solids={"hill": SolidData(MeshData(*box), 1.0)}, seed=4)
     stands, faces = [(0.0, 16, 0.0), (-8.0, 16, 4.0)], [(1, 0, 0), (0, 0, 1)]
-    got, world = smelled(made, stands, faces, (0, 1, 0), "8 mm")
+    got, world = smelled(solid_setting, stands, faces, (0, 1, 0), "8 mm")
     assert got == [cell(world, (8, 16, 0), (0, 1, 0)), cell(world, (-8, 16, 12), (0, 1, 0))]
-    got, world = smelled(made, stands, faces, (0, 1, 0), "8 mm / (got - got)")
+    got, world = smelled(solid_setting, stands, faces, (0, 1, 0), "8 mm / (got - got)")
     assert got == [cell(world, (0, 16, 0), (0, 1, 0)), cell(world, (-8, 16, 4), (0, 1, 0))]
 
 
 def test_on_ground_that_has_moved_the_cells_go_along() -> None:
     """A plate that has been turned by a quarter about y: the cell ahead is the one that lay there at rest."""
     ground = meshes.grid(60.0, 7)
-    way = np.repeat(np.eye(3, 4)[None], 6, axis=0)
-    way[1:, :, :3] = np.array([[0, 0, 1], [0, 1, 0], [-1, 0, 0]])  # x goes to -z
-    moves = Moves(meshes={"ground": MeshMoves.rigid(way, len(ground[0]))})
-    got, world = smelled(setting(ground, 1, moves=moves), [(0.2, 0, 0.2)], [(0, 0, -1)], (0, 1, 0), "10 mm", after=2)
+    poses = np.repeat(np.eye(3, 4)[None], 6, axis=0)
+    poses[1:, :, :3] = np.array([[0, 0, 1], [0, 1, 0], [-1, 0, 0]])  # x goes to -z
+    moves = Moves(meshes={"ground": MeshMoves.rigid(poses, len(ground[0]))})
+    got, world = smelled(setting(ground, 1, moves=moves), [(0.2, 0, 0.2)], [(0, 0, -1)], (0, 1, 0), "10 mm", start_steps=2)
     assert got == [cell(world, (10, 0, 0), (0, 1, 0))]
     assert moving_geometry.moving(world) is not None and Facts.of(world.setting) == Facts(moving=True, detail=False)

@@ -22,15 +22,15 @@ DT = np.float32(1 / 24)
 class People(SimpleNamespace):
     """What bodies read of a population."""
 
-    room, vector = Population.room, Population.vector
+    get_buffers, vector = Population.get_buffers, Population.vector
 
     def __len__(self) -> int:
         return len(self.position)
 
 
 def unit(rng: np.random.Generator, n: int = N) -> np.ndarray:
-    found = rng.normal(size=(n, 3))
-    return (found / np.linalg.norm(found, axis=1, keepdims=True)).astype(np.float32)
+    random_vectors = rng.normal(size=(n, 3))
+    return (random_vectors / np.linalg.norm(random_vectors, axis=1, keepdims=True)).astype(np.float32)
 
 
 def odd(rng: np.random.Generator, *values: float) -> np.ndarray:
@@ -41,8 +41,8 @@ def people(ground: MeshGround, seed: int, facing: bool) -> People:
     """A crowd on a ground of which some lean, some stand upside down and some have sizes and limits that are none."""
     rng = np.random.default_rng(seed)
     points = rng.uniform(ground.low, ground.high, (N, 3))
-    rises = rng.random(N) < 0.7
-    points[rises] = rng.uniform((-8, -1, -9), (8, 1, 9), (N, 3))[rises]  # where pieces cut each other
+    is_among_pieces = rng.random(N) < 0.7
+    points[is_among_pieces] = rng.uniform((-8, -1, -9), (8, 1, 9), (N, 3))[is_among_pieces]  # where pieces cut each other
     footing, _ = ground.nearest(points)
     normal = ground.normal(footing).astype(np.float32)
     up, heading = normal.copy(), unit(rng)
@@ -92,28 +92,28 @@ def by_rays() -> MeshGround:
 def test_substeps_are_those_of_one_agent_after_another(
     ground: MeshGround, of: str, facing: bool, keeps: bool, number: int, undecided: float
 ) -> None:
-    here = {"meshes": ground, "rays": by_rays(), "plane": Plane(np.array([0.36, 0.48, 0.8]))}[of]
+    world_ground = {"meshes": ground, "rays": by_rays(), "plane": Plane(np.array([0.36, 0.48, 0.8]))}[of]
     crowd = people(ground, 3, facing)
     if of != "meshes":
-        crowd.footing = here.nearest(crowd.position)[0]
-        crowd.position = here.position(crowd.footing)
+        crowd.footing = world_ground.nearest(crowd.position)[0]
+        crowd.position = world_ground.position(crowd.footing)
     else:
         crowd.footing.mesh[16:19] = -1  # nowhere
     if keeps:
         crowd.now["min_speed"] = odd(np.random.default_rng(4), 0, -1, np.nan, np.inf)
     setting = SimpleNamespace(substeps=2, orient="normal", crowds=())
     options, plan = SimpleNamespace(threads=2), SimpleNamespace(of_kind=lambda kind: ())
-    world = SimpleNamespace(ground=here, options=options, dt=float(DT), setting=setting, plan=plan, solids={})
+    world = SimpleNamespace(ground=world_ground, options=options, dt=float(DT), setting=setting, plan=plan, solids={})
     walls = 0
     with np.errstate(all="ignore"):
         for _ in range(2):
-            agents = substep(here, crowd, float(DT), float(np.float32(DT / 2)), number == 0)
+            agents = substep(world_ground, crowd, float(DT), float(np.float32(DT / 2)), number == 0)
             advance.move(world, crowd, number)  # type: ignore[arg-type]
             walls += sum(agent.wall is not None for agent in agents)
             for name, own in (("velocity", 2e-3), ("heading", 2e-3), ("up", 2e-3)):
-                wanted = np.array([getattr(agent, name) for agent in agents])
-                found = np.stack([crowd.now[f"{name}.{axis}"] for axis in "xyz"], axis=1)
-                off = np.abs(found - wanted).max(axis=1) / np.maximum(1, np.abs(wanted).max(axis=1))
+                expected = np.array([getattr(agent, name) for agent in agents])
+                result = np.stack([crowd.now[f"{name}.{axis}"] for axis in "xyz"], axis=1)
+                off = np.abs(result - expected).max(axis=1) / np.maximum(1, np.abs(expected).max(axis=1))
                 assert (off > own).mean() <= undecided, name
             place = np.array([agent.place for agent in agents])
             assert (np.abs(crowd.position - place).max(axis=1) > 1e-4).mean() <= undecided
@@ -129,28 +129,28 @@ def standing(crowd: People) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray
 
 def test_bodies_that_lean_are_laid_along_the_ground_and_stand_up_again(ground: MeshGround) -> None:
     crowd = people(ground, 5, False)
-    before, start = standing(crowd)
-    up, heading = (np.stack([before[f"{name}.{axis}"] for axis in "xyz"], axis=1) for name in ("up", "heading"))
+    old_registers, start = standing(crowd)
+    up, heading = (np.stack([old_registers[f"{name}.{axis}"] for axis in "xyz"], axis=1) for name in ("up", "heading"))
     tilting.lay(crowd, 2)
     leans = (up != crowd.normal).any(axis=1)
     for registers in (crowd.now, crowd.start):
         assert np.array_equal(np.stack([registers[f"up.{axis}"] for axis in "xyz"], axis=1), crowd.normal)
-        shown = np.stack([registers[f"heading.{axis}"] for axis in "xyz"], axis=1)
-        wanted = [laid(*(v[i].astype(float) for v in (heading, up, crowd.normal))) for i in np.flatnonzero(leans)]
-        assert np.array_equal(shown[~leans], heading[~leans]) and np.allclose(shown[leans], wanted, atol=1e-6)
+        laid_heading = np.stack([registers[f"heading.{axis}"] for axis in "xyz"], axis=1)
+        expected = [laid(*(v[i].astype(float) for v in (heading, up, crowd.normal))) for i in np.flatnonzero(leans)]
+        assert np.array_equal(laid_heading[~leans], heading[~leans]) and np.allclose(laid_heading[leans], expected, atol=1e-6)
     assert 60 < leans.sum() < N - 60
-    told = np.random.default_rng(6).random(N) < 0.2
+    is_changed = np.random.default_rng(6).random(N) < 0.2
     for axis in "xyz":
         other = crowd.now[f"heading.{axis}"].copy()
-        crowd.now[f"heading.{axis}"][told] += np.float32(0.5)  # by one component only
+        crowd.now[f"heading.{axis}"][is_changed] += np.float32(0.5)  # by one component only
         tilting.stand_up(crowd)
         assert crowd.laid is None
-        for name in before:
-            same = ~told | ~leans | (not name.startswith("heading")) if name != f"heading.{axis}" else ~told
-            assert np.array_equal(crowd.now[name][same], before[name][same], equal_nan=True), name
+        for name in old_registers:
+            same = ~is_changed | ~leans | (not name.startswith("heading")) if name != f"heading.{axis}" else ~is_changed
+            assert np.array_equal(crowd.now[name][same], old_registers[name][same], equal_nan=True), name
             assert np.array_equal(crowd.start[name], start[name], equal_nan=True), name
-        assert np.array_equal(crowd.now[f"heading.{axis}"][told], other[told] + np.float32(0.5))
-        crowd.now |= {name: array.copy() for name, array in before.items()}
+        assert np.array_equal(crowd.now[f"heading.{axis}"][is_changed], other[is_changed] + np.float32(0.5))
+        crowd.now |= {name: array.copy() for name, array in old_registers.items()}
         tilting.lay(crowd)
 
 
@@ -158,7 +158,7 @@ def test_bodies_that_begin_before_a_wall_are_tilted_for_it(ground: MeshGround) -
     crowd = people(ground, 7, False)
     for k, axis in enumerate("xyz"):
         crowd.now[f"up.{axis}"] = crowd.normal[:, k].copy()
-    before, start = standing(crowd)
+    old_registers, start = standing(crowd)
     agents = [Agent.of(crowd, i) for i in range(N)]
     for agent in agents:
         agent.step = np.zeros(3)
@@ -175,11 +175,11 @@ def test_bodies_that_begin_before_a_wall_are_tilted_for_it(ground: MeshGround) -
         if i in rows and agent.wall is not None:
             up = agent.tilted(agent.normal, np.zeros(3))
             heading, tilts = laid(heading, agent.normal, up), tilts + (up @ agent.normal < 0.99)
-            for name, wanted in (("up", up), ("heading", heading)):
+            for name, expected in (("up", up), ("heading", heading)):
                 for registers in (crowd.now, crowd.start):
-                    assert np.allclose([registers[f"{name}.{axis}"][i] for axis in "xyz"], wanted, atol=1e-5)
+                    assert np.allclose([registers[f"{name}.{axis}"][i] for axis in "xyz"], expected, atol=1e-5)
         else:
-            assert all(np.array_equal(crowd.now[name][i], before[name][i], equal_nan=True) for name in before)
+            assert all(np.array_equal(crowd.now[name][i], old_registers[name][i], equal_nan=True) for name in old_registers)
             assert all(np.array_equal(crowd.start[name][i], start[name][i], equal_nan=True) for name in start)
     assert tilts > 5
 
@@ -197,10 +197,12 @@ def test_walls_are_those_that_bodies_tilt_for(ground: MeshGround, facing: bool) 
     reach, world = np.empty(N), SimpleNamespace(ground=ground, options=SimpleNamespace(threads=1))
     rises.reaches(crowd.now["size"], reach)
     assert np.allclose(reach, [3 * agent.half for agent in agents])
-    found = rises.find_walls(world, crowd, looking, step, reach, state)  # type: ignore[arg-type]
+    nearby_walls = rises.find_walls(world, crowd, looking, step, reach, state)  # type: ignore[arg-type]
     walls = [agent.wall for agent in agents]
-    assert np.array_equal(state >= 0, [wall is not None for wall in walls]) and (state >= 0).sum() == len(found.far) > 20
+    assert np.array_equal(state >= 0, [wall is not None for wall in walls]) and (state >= 0).sum() == len(nearby_walls.far) > 20
     for k, wall in ((state[i], wall) for i, wall in enumerate(walls) if wall is not None):
-        assert np.allclose(found.wall[:, k], wall.normal, atol=1e-5) and np.allclose(found.ahead[:, k], wall.ahead, atol=1e-5)
-        own = [found.angle[k], found.far[k], found.over[k], found.half[k]]
+        assert np.allclose(nearby_walls.wall[:, k], wall.normal, atol=1e-5) and np.allclose(
+            nearby_walls.ahead[:, k], wall.ahead, atol=1e-5
+        )
+        own = [nearby_walls.angle[k], nearby_walls.far[k], nearby_walls.over[k], nearby_walls.half[k]]
         assert np.allclose(own, [wall.angle, wall.far, wall.over, wall.half], atol=1e-4)

@@ -72,5 +72,5 @@ def test_crumbs_and_soil_are_counted() -> None:
 
 def are_counted(counted: list[tuple[int, float, float]], least: float) -> None:
     assert {crumbs for crumbs, _, _ in counted} == {4000}
-    _, soil, gone = counted[-1]
-    assert soil > least and soil == pytest.approx(gone, rel=1e-6)
+    _, soil, removed_soil = counted[-1]
+    assert soil > least and soil == pytest.approx(removed_soil, rel=1e-6)

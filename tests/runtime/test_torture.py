@@ -10,7 +10,7 @@ import pytest
 from meshes import Mesh
 from numpy.typing import NDArray
 from torture_long import FINE, from_file, long_walk
-from torture_walks import BODY, STEP, Seen, above, crowd, depth, inside, parts, shapes, wander, winding
+from torture_walks import BODY, STEP, WalkMeasures, above, crowd, depth, inside, parts, shapes, wander, winding
 
 from antdsl.casting.rays import RayScene
 from antdsl.ground.mesh import self_cuts
@@ -24,20 +24,20 @@ OVER = 0.01  # mm: rays err by a hair
 Floats = NDArray[np.float64]
 
 
-def walked(name: str, n: int = N, steps: int = STEPS) -> Seen:
+def walked(name: str, n: int = N, steps: int = STEPS) -> WalkMeasures:
     """A crowd on a shape, held to what is true of any surface."""
     mesh = SHAPES.SHAPES[name]()
-    ground, rng, seen = MeshGround({name: mesh}), np.random.default_rng(4), Seen()
-    for before, at in wander(ground, crowd(ground, [mesh], n, rng), steps, rng):
-        seen.look(ground, [mesh], before, at)
-    seen.good()
-    return seen
+    ground, rng, measures = MeshGround({name: mesh}), np.random.default_rng(4), WalkMeasures()
+    for previous, at in wander(ground, crowd(ground, [mesh], n, rng), steps, rng):
+        measures.look(ground, [mesh], previous, at)
+    measures.good()
+    return measures
 
 
 @pytest.mark.parametrize("name", SHAPES.SHAPES)
 def test_a_crowd_stays_on_any_surface(name: str) -> None:
-    seen = walked(name)
-    assert seen.moved > (0.5 if name in ("rag", "moebius", "pot") else 0.9) * STEP * STEPS, seen  # borders hold some up
+    measures = walked(name)
+    assert measures.moved > (0.5 if name in ("rag", "moebius", "pot") else 0.9) * STEP * STEPS, measures  # borders hold some up
 
 
 @pytest.mark.parametrize("name", ["cube", "plate", "torus", "rod", "boulder"])
@@ -73,10 +73,10 @@ def test_into_a_can_and_out_of_it_leads_only_the_hole_in_its_lid() -> None:
     begin = begin.take(np.flatnonzero(~inside(mesh, above(ground, begin))))  # nobody in the tin
     was, crossed = in_can(above(ground, begin), SHAPES.TIN), 0
     assert 0.3 < was.mean() < 0.7
-    for k, (before, at) in enumerate(wander(ground, begin, 2 * STEPS, rng)):
+    for k, (previous, at) in enumerate(wander(ground, begin, 2 * STEPS, rng)):
         now = in_can(above(ground, at), SHAPES.TIN)
         through = np.flatnonzero(now != was)
-        for place in (before.position[through], at.position[through]):
+        for place in (previous.position[through], at.position[through]):
             away = np.hypot(place[:, 0], place[:, 2])
             assert (place[:, 1] > SHAPES.CAN - SHAPES.TIN - 1e-6).all() and (away < SHAPES.LID + STEP).all()
         crossed, was = crossed + through.size, now
@@ -98,7 +98,7 @@ def test_a_sheet_without_thickness_is_gone_through_nowhere() -> None:
     assert stopped > 20  # by its border
 
 
-def test_nobody_on_a_stack_of_stones_comes_into_a_stone() -> None:
+def test_no_agent_on_a_stack_of_stones_comes_into_a_stone() -> None:
     mesh = SHAPES.stones()
     stack = parts(mesh, len(SHAPES.STACK))
     ground, rng = MeshGround({"stones": mesh}), np.random.default_rng(8)
@@ -116,30 +116,36 @@ def test_nobody_on_a_stack_of_stones_comes_into_a_stone() -> None:
 
 
 @pytest.mark.slow
-def test_nobody_slips_from_the_ground_into_what_is_sunk_in_it_or_leans_on_it() -> None:
+def test_no_agent_slips_from_the_ground_into_what_is_sunk_in_it_or_leans_on_it() -> None:
     meshes = {name: SHAPES.SHAPES[name]() for name in ("ground", "boulder", "stones", "cube")}
     meshes["stones"] = (meshes["stones"][0] + np.array([20.0, -3.0, 12.0]), meshes["stones"][1])  # against the boulder
     meshes["cube"] = (meshes["cube"][0] + np.array([-20.0, -5.0, 25.0]), meshes["cube"][1])
     twig, tilt = SHAPES.rod(), np.radians(-58)
     turn = np.array([[1, 0, 0], [0, np.cos(tilt), -np.sin(tilt)], [0, np.sin(tilt), np.cos(tilt)]])
     meshes["rod"] = (twig[0] @ turn.T + np.array([0.0, -1.5, -62.0]), twig[1])
-    ground, rng, seen = MeshGround(meshes), np.random.default_rng(9), Seen()
+    ground, rng, measures = MeshGround(meshes), np.random.default_rng(9), WalkMeasures()
     closed = [meshes["boulder"], meshes["cube"], meshes["rod"], *parts(meshes["stones"], len(SHAPES.STACK))]
-    wanted = rng.uniform(-45, 45, (3 * N, 3)) + np.array([0.0, 40.0, -20.0])
-    footing, found = ground.place(wanted, np.array([0.0, 1.0, 0.0]))
-    assert found.all()
-    begin = ground.move(footing, 0 * wanted, rng.normal(size=wanted.shape), ground.upright(footing, np.array([0.0, 1, 0])), BODY)
-    met = set()
-    for k, (before, at) in enumerate(wander(ground, begin, STEPS, rng)):
-        seen.look(ground, list(meshes.values()), before, at)
-        changed = before.footing.mesh != at.footing.mesh
-        met |= set(zip(before.footing.mesh[changed].tolist(), at.footing.mesh[changed].tolist(), strict=True))
+    start_points = rng.uniform(-45, 45, (3 * N, 3)) + np.array([0.0, 40.0, -20.0])
+    footing, is_placed = ground.place(start_points, np.array([0.0, 1.0, 0.0]))
+    assert is_placed.all()
+    begin = ground.move(
+        footing, 0 * start_points, rng.normal(size=start_points.shape), ground.upright(footing, np.array([0.0, 1, 0])), BODY
+    )
+    mesh_changes = set()
+    for k, (previous, at) in enumerate(wander(ground, begin, STEPS, rng)):
+        measures.look(ground, list(meshes.values()), previous, at)
+        changed = previous.footing.mesh != at.footing.mesh
+        mesh_changes |= set(zip(previous.footing.mesh[changed].tolist(), at.footing.mesh[changed].tolist(), strict=True))
         if k % 10 == 9:
             assert max(depth(m, above(ground, at)) for m in closed) < OVER
             on_ground = at.footing.mesh == 0
             assert (at.up[on_ground][:, 1] > 0).all()  # nobody below the ground
-    seen.good()
-    assert {(0, k) for k in range(1, 5)} <= met and {(k, 0) for k in range(1, 5)} <= met and len(met) >= 10, met
+    measures.good()
+    assert (
+        {(0, k) for k in range(1, 5)} <= mesh_changes
+        and {(k, 0) for k in range(1, 5)} <= mesh_changes
+        and len(mesh_changes) >= 10
+    ), mesh_changes
 
 
 def test_a_moebius_strip_is_walked_on_both_its_sides_which_are_one() -> None:
@@ -149,7 +155,7 @@ def test_a_moebius_strip_is_walked_on_both_its_sides_which_are_one() -> None:
     start = ground.move(along, np.zeros((1, 3)), np.array([[0.0, 0, 1]]), np.array([[0.0, 1, 0]]), BODY)
     at, turns, ups = start, 0.0, []
     for _ in range(320):
-        before = at
+        previous = at
         middle = np.array([at.position[0][0], 0, at.position[0][2]])
         middle *= SHAPES.TWISTED[0] / np.linalg.norm(middle)
         lean = (middle + np.array([0, 12.0, 0]) - at.position[0]) * 0.2  # keeps to the middle of the strip
@@ -157,42 +163,43 @@ def test_a_moebius_strip_is_walked_on_both_its_sides_which_are_one() -> None:
         heading = around / np.linalg.norm(around) + lean
         at = ground.move(at.footing, heading[None] * STEP, heading[None], at.up, BODY)
         assert not at.blocked.any()
-        turned = np.arctan2(at.position[0][2], at.position[0][0]) - np.arctan2(before.position[0][2], before.position[0][0])
+        turned = np.arctan2(at.position[0][2], at.position[0][0]) - np.arctan2(previous.position[0][2], previous.position[0][0])
         turns += float(np.mod(turned + np.pi, 2 * np.pi) - np.pi)
         ups.append((turns, at.up[0] @ start.up[0]))
         if turns >= 4 * np.pi:
             break
-    once = min(ups, key=lambda entry: abs(entry[0] - 2 * np.pi))
-    assert turns >= 4 * np.pi and once[1] < -0.9 and ups[-1][1] > 0.9  # once round it hangs below
+    full_turn = min(ups, key=lambda entry: abs(entry[0] - 2 * np.pi))
+    assert turns >= 4 * np.pi and full_turn[1] < -0.9 and ups[-1][1] > 0.9  # once round it hangs below
 
 
 def test_a_broken_mesh_is_walked_like_the_mesh_that_was_meant() -> None:
     mesh = SHAPES.broken()
     plain = SHAPES.stone(65, (22.0, 20.0, 22.0), detail=2)
     plain = (plain[0] + np.array([0.0, 19.0, 0.0]), plain[1])
-    ground, whole, rng = MeshGround({"broken": mesh}), MeshGround({"whole": plain}), np.random.default_rng(10)
-    outside = crowd(whole, [plain], N, rng)
-    outside = outside.take(np.flatnonzero(winding(plain, above(whole, outside)) < 0.5))
-    footing = whole.nearest(outside.position)[0], ground.nearest(outside.position)[0]
+    ground, intact_ground, rng = MeshGround({"broken": mesh}), MeshGround({"whole": plain}), np.random.default_rng(10)
+    outside = crowd(intact_ground, [plain], N, rng)
+    outside = outside.take(np.flatnonzero(winding(plain, above(intact_ground, outside)) < 0.5))
+    footing = intact_ground.nearest(outside.position)[0], ground.nearest(outside.position)[0]
     outside, at = (
-        g.move(f, 0 * outside.up, outside.heading, outside.up, BODY) for g, f in zip((whole, ground), footing, strict=True)
+        g.move(f, 0 * outside.up, outside.heading, outside.up, BODY)
+        for g, f in zip((intact_ground, ground), footing, strict=True)
     )
-    *_, (_, one) = wander(whole, outside, 60, np.random.default_rng(1))
+    *_, (_, one) = wander(intact_ground, outside, 60, np.random.default_rng(1))
     *_, (_, two) = wander(ground, at, 60, np.random.default_rng(1))
-    apart = np.linalg.norm(one.position - two.position, axis=1)
-    assert np.quantile(apart, 0.9) < 1e-2  # ways to either side of a corner part for good
+    distances = np.linalg.norm(one.position - two.position, axis=1)
+    assert np.quantile(distances, 0.9) < 1e-2  # ways to either side of a corner part for good
     assert not inside(plain, above(ground, two)).any()
 
 
 def held(name: str, mesh: Mesh, n: int, steps: int) -> None:
     """A crowd on a shape: on it, not lost, and nobody through a wall."""
     walked = long_walk(name, mesh, n, steps)
-    walked.seen.good()
+    walked.measures.good()
     assert walked.agents > 0.9 * n and walked.through == 0 and walked.missed == 0, walked
 
 
 @pytest.mark.parametrize("name", ["eight", "bottle", "broken", "rag"])
-def test_nobody_goes_through_a_wall_or_round_the_border_of_a_sheet(name: str) -> None:
+def test_no_agent_goes_through_a_wall_or_round_the_border_of_a_sheet(name: str) -> None:
     held(name, SHAPES.SHAPES[name](), 2 * N, STEPS)
 
 
@@ -251,19 +258,19 @@ def test_cuts_of_a_mesh_that_moves_are_not_gone_through() -> None:
     for k in range(STEPS // 2):
         turn, shift = 0.05 * k, np.array([0.3 * k, 0.0, -0.2 * k])
         spin = np.array([[np.cos(turn), 0, np.sin(turn)], [0, 1, 0], [-np.sin(turn), 0, np.cos(turn)]])
-        before = moving.axes(at.footing)
+        previous_axes = moving.axes(at.footing)
         moving.pose({"block": mesh[0] @ spin.T + shift})
         heading, up = (
-            sum(axis * (was * v.T).sum(axis=0) for axis, was in zip(moving.axes(at.footing), before, strict=True)).T
+            sum(axis * (was * v.T).sum(axis=0) for axis, was in zip(moving.axes(at.footing), previous_axes, strict=True)).T
             for v in (at.heading, at.up)
         )
         heading = heading + np.cross(up, heading) * rng.normal(0, 0.3, (len(up), 1))
         at = moving.move(at.footing, heading * STEP, heading, up, BODY)
     moving.pose({"block": mesh[0]})
-    there = MeshGround({"block": mesh})
+    rest_ground = MeshGround({"block": mesh})
     side = np.where(side_of(moving, at, spin) < 0, -1.0, 1.0)
-    places = there.position(at.footing) + there.normal(at.footing) * (side * FINE)[:, None]
-    assert np.array_equal(np.round(winding(mesh, places)), began)
+    points = rest_ground.position(at.footing) + rest_ground.normal(at.footing) * (side * FINE)[:, None]
+    assert np.array_equal(np.round(winding(mesh, points)), began)
 
 
 def side_of(ground: MeshGround, at: Move, spin: Floats) -> Floats:

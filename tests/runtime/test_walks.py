@@ -8,7 +8,7 @@ from pathlib import Path
 import meshes
 import numpy as np
 import pytest
-from meaning import FAST, WAYS, Seen, crowd, play
+from meaning import FAST, OPTION_SETS, RunHistory, crowd, play
 from typer.testing import CliRunner
 
 from antdsl.cli import app
@@ -29,38 +29,40 @@ species a {
 EAST = WalkData((1.0, 0.0, 0.0), 30.0, 40.0)
 
 
-def vectors(seen: Seen, name: str, number: int = 0) -> np.ndarray:
-    return np.array([seen.every(f"{name}.{axis}", number) for axis in "xyz"], np.float64).T
+def vectors(history: RunHistory, name: str, number: int = 0) -> np.ndarray:
+    return np.array([history.every(f"{name}.{axis}", number) for axis in "xyz"], np.float64).T
 
 
 def test_it_goes_its_length_at_its_speed_and_stands_and_senses_nothing() -> None:
-    led, free = replace(crowd(at=[(0, 0)]), walk=EAST), crowd(at=[(0, 60)], group=1)
-    seen = play(TEXT, led, free, steps=20, ways=(*WAYS, Options(backend="native", wait_for_code=True)))
-    place = vectors(seen, "position") + seen.world.origin
-    gone = np.linalg.norm(np.diff(place, axis=0), axis=1)
-    assert gone[:13] == pytest.approx(np.full(13, 3.0), abs=1e-4)  # faster than its max_speed: the scene says so
-    assert gone[13] == pytest.approx(1, abs=1e-4) and (gone[14:] == 0).all()
+    walker_crowd, free = replace(crowd(at=[(0, 0)]), walk=EAST), crowd(at=[(0, 60)], group=1)
+    history = play(TEXT, walker_crowd, free, steps=20, option_sets=(*OPTION_SETS, Options(backend="native", wait_for_code=True)))
+    place = vectors(history, "position") + history.world.origin
+    distances = np.linalg.norm(np.diff(place, axis=0), axis=1)
+    assert distances[:13] == pytest.approx(np.full(13, 3.0), abs=1e-4)  # faster than its max_speed: the scene says so
+    assert distances[13] == pytest.approx(1, abs=1e-4) and (distances[14:] == 0).all()
     assert place[-1] == pytest.approx((40, 0, 0), abs=1e-3)
-    assert seen.states(0)[-1] == "go" and seen.every("steps", 0)[-1] == 0  # no change, no handler
-    assert seen.states(1)[-1] == "gone" and seen.every("steps", 1)[-1] > 100
-    assert vectors(seen, "heading")[-1] == pytest.approx((1, 0, 0), abs=1e-5)
+    assert history.states(0)[-1] == "go" and history.every("steps", 0)[-1] == 0  # no change, no handler
+    assert history.states(1)[-1] == "gone" and history.every("steps", 1)[-1] > 100
+    assert vectors(history, "heading")[-1] == pytest.approx((1, 0, 0), abs=1e-5)
 
 
 def test_the_direction_is_carried_along_the_surface_over_edges() -> None:
     block = {"ground": MeshData(*meshes.box((-10.0, -20.0, -50.0), (10.0, 0.0, 50.0)))}
-    led = replace(crowd(at=[(0, 0)]), walk=WalkData((1.0, 5.0, 0.0), 30.0, 26.0))  # what leads off the ground does not count
-    seen = play("species a { size 2 mm; max_speed 20 mm/s }", led, steps=12, surfaces=block, ways=FAST)
-    place = vectors(seen, "position") + seen.world.origin
+    walker_crowd = replace(
+        crowd(at=[(0, 0)]), walk=WalkData((1.0, 5.0, 0.0), 30.0, 26.0)
+    )  # what leads off the ground does not count
+    history = play("species a { size 2 mm; max_speed 20 mm/s }", walker_crowd, steps=12, surfaces=block, option_sets=FAST)
+    place = vectors(history, "position") + history.world.origin
     assert place[-1] == pytest.approx((10, -16, 0), abs=1e-3)  # ten along the top, over the edge, sixteen down
-    assert vectors(seen, "heading")[-1] == pytest.approx((0, -1, 0), abs=1e-3)
+    assert vectors(history, "heading")[-1] == pytest.approx((0, -1, 0), abs=1e-3)
 
 
 @pytest.mark.parametrize("substeps", [1, 3])
 def test_slow_bodies_least_speeds_and_substeps_change_nothing_of_the_length(substeps: int) -> None:
-    led = replace(crowd(at=[(0, 0)]), walk=EAST)
+    walker_crowd = replace(crowd(at=[(0, 0)]), walk=EAST)
     text = "species a { response 1 step; min_speed 8 mm/s; max_turn 10 deg/s; max_speed 50 mm/s }"
-    seen = play(text, led, steps=20, substeps=substeps, ways=FAST)
-    assert (vectors(seen, "position") + seen.world.origin)[-1] == pytest.approx((40, 0, 0), abs=1e-3)
+    history = play(text, walker_crowd, steps=20, substeps=substeps, option_sets=FAST)
+    assert (vectors(history, "position") + history.world.origin)[-1] == pytest.approx((40, 0, 0), abs=1e-3)
 
 
 PROGRAM = "ant 1\nuse steering\nworld { surface s; obstacle rock }\nspecies a { max_speed 20 mm/s; state w { steer wander() } }\n"
@@ -90,10 +92,10 @@ def test_a_scene_leads_a_line_of_its_crowd_and_explain_says_so(tmp_path: Path) -
     assert walk is not None and walk.direction == (0, 0, 1) and (walk.speed, walk.length) == (30, 20)
     assert shot.setting.crowds[1].walk is None
     run = CliRunner()
-    done = run.invoke(app, ["run", str(tmp_path / "scene.yaml"), "--out", str(tmp_path / "c"), "--backend", "numpy", "-q"])
-    assert done.exit_code == 0, done.output
-    led = run.invoke(app, ["explain", str(tmp_path / "c"), "--agent", "1", "--frame", "9"])
-    assert "as the `walk` of its line" in str(getattr(led.exception, "message", led.output))
+    run_result = run.invoke(app, ["run", str(tmp_path / "scene.yaml"), "--out", str(tmp_path / "c"), "--backend", "numpy", "-q"])
+    assert run_result.exit_code == 0, run_result.output
+    walker_result = run.invoke(app, ["explain", str(tmp_path / "c"), "--agent", "1", "--frame", "9"])
+    assert "as the `walk` of its line" in str(getattr(walker_result.exception, "message", walker_result.output))
     free = run.invoke(app, ["explain", str(tmp_path / "c"), "--agent", "3", "--frame", "9"])
     assert free.exit_code == 0 and "wander" in free.output
 
@@ -107,6 +109,6 @@ def test_a_scene_leads_a_line_of_its_crowd_and_explain_says_so(tmp_path: Path) -
         (", length: 2", "", "length"),
     ],
 )
-def test_what_is_no_walk_is_told_at_its_place(tmp_path: Path, before: str, after: str, words: str) -> None:
+def test_what_is_no_walk_is_reported_at_its_place(tmp_path: Path, before: str, after: str, words: str) -> None:
     shot, report = open_scene(write(tmp_path, SCENE.replace(before, after)))
     assert shot is None and words in " ".join(f"{d.message} {d.help}" for d in report.sorted())

@@ -15,10 +15,10 @@ TARGET = Target(np.zeros((1, 3)), np.zeros(1))
 
 def test_faces_cells_and_agents_are_counted() -> None:
     setting = Setting(surfaces={"ground": SQUARE}, crowds=(CrowdData("ant", 7), CrowdData("ant", 5, group=1)))
-    found = world_work(setting, {"trail": (("ground",), 2.0)}, {"ant": 40})
-    assert found[0][:3] == ("surface ground", 2, "faces")
-    assert found[1][:3] == ("field trail", 2500, "cells at least")
-    assert found[2] == Work("species ant", 12, "agents", 12 * (2 * 40 + 600))
+    work_items = world_work(setting, {"trail": (("ground",), 2.0)}, {"ant": 40})
+    assert work_items[0][:3] == ("surface ground", 2, "faces")
+    assert work_items[1][:3] == ("field trail", 2500, "cells at least")
+    assert work_items[2] == Work("species ant", 12, "agents", 12 * (2 * 40 + 600))
 
 
 @pytest.mark.parametrize("edge", [1e-9, 5e-324, 1e-150])
@@ -29,10 +29,10 @@ def test_endless_work_is_a_number(edge: float) -> None:
         flows={"home": SolvedFlow(TARGET, cell=edge), "near": SpreadFlow("toward", TARGET, radius=edge)},
     )
     with np.errstate(all="ignore"):
-        found = world_work(setting, {"trail": (("ground",), edge)}, {})
-    for work in found:
+        work_items = world_work(setting, {"trail": (("ground",), edge)}, {})
+    for work in work_items:
         assert 0 <= work.number <= 2**62 and 0 <= work.bytes <= 2**62
-    home, near = found[-2:]
+    home, near = work_items[-2:]
     assert home.parts == near.parts == "points at most"
     assert 1_000_000 < home.number <= limits.FLOW_POINTS and near.number <= 200_000  # which has no `cell`
 

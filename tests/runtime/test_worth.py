@@ -21,7 +21,7 @@ STILL = "response 1 step\non spawn { velocity = vector(0 mm/s, 0 mm/s, 0 mm/s) }
 
 def test_worth_is_learned_as_the_formula_says() -> None:
     """U(s') = R(s') + γ · max U(s''), a sweep a step, against the same sum over a plain array."""
-    places = [(10.0 * i + 5, 10.0 * j + 5) for i in range(-3, 4) for j in range(-3, 4)]
+    points = [(10.0 * i + 5, 10.0 * j + 5) for i in range(-3, 4) for j in range(-3, 4)]
     text = f"""species a {{ {STILL}x = 0
 start s
 state s {{
@@ -29,12 +29,12 @@ state s {{
   deposit worth (if touching(food) then 1 else 0) + 0.8 * max(worth, nearest: 9)
   when false -> s }} }}"""
     food = {"food": (item("f", 5, 15),)}  # on the place (5, 15) alone
-    seen = play(text, crowd(at=places), steps=9, world=WORLD, surfaces=GROUND, items=food)
+    history = play(text, crowd(at=points), steps=9, world=WORLD, surfaces=GROUND, items=food)
     worth = np.zeros((9, 9))
     reward = np.zeros((7, 7))
     reward[3, 4] = 1
     for step in range(1, 10):
-        assert seen.at("x", step) == pytest.approx(worth[1:-1, 1:-1].ravel(), rel=1e-5, abs=1e-6)
+        assert history.at("x", step) == pytest.approx(worth[1:-1, 1:-1].ravel(), rel=1e-5, abs=1e-6)
         best = np.max([worth[1 + i : 8 + i, 1 + j : 8 + j] for i in (-1, 0, 1) for j in (-1, 0, 1)], axis=0)
         worth[1:-1, 1:-1] = np.maximum(worth[1:-1, 1:-1], reward + 0.8 * best)
     assert worth[4, 5] == pytest.approx(sum(0.8**k for k in range(9))) and worth.max() < 1 / (1 - 0.8)

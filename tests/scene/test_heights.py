@@ -37,32 +37,37 @@ def npz(**arrays: np.ndarray) -> bytes:
     return to.getvalue()
 
 
-def opened(folder: Path, name: str, data: bytes, more: str = "", scene: str = "") -> tuple[Shot | None, str]:
+def opened(folder: Path, name: str, data: bytes, keys: str = "", scene: str = "") -> tuple[Shot | None, str]:
     (folder / "a.ant").write_text(PROGRAM)
     (folder / name).write_bytes(data)
     (folder / "p.npz").write_bytes(npz(damp=SAMPLES.ravel() / 65535))
     (folder / "scene.yaml").write_text(
         f"antdsl: 1\nframes: 1..4\n{scene}world:\n"
-        f"  arena: {{height: {name}, extent: [80 mm, 40], scale: 12 mm{more}}}\n  damp: {{painted: p.npz}}\n"
+        f"  arena: {{height: {name}, extent: [80 mm, 40], scale: 12 mm{keys}}}\n  damp: {{painted: p.npz}}\n"
         "crowd: [{species: a, from: a.ant, count: 20, place: {on: arena, density: damp}}]\n"
     )
     shot, report = open_scene(folder / "scene.yaml")
     return shot, " ".join(f"{d.code} {d.message} {d.help}" for d in report.sorted())
 
 
-def test_an_image_whose_strips_are_missing_is_an_error(tmp_path: Path) -> None:
+def test_an_image_without_all_its_strips_is_an_error(tmp_path: Path) -> None:
     """A TIFF file that says it has more rows than its strips: Pillow would fill them with zeros."""
     data = image(SAMPLES, "TIFF")
     length = struct.pack("<HHII", 257, 4, 1, len(SAMPLES))  # the tag ImageLength, one number of 32 bits
     assert data.count(length) == 1
-    shot, told = opened(tmp_path, "h.tif", data.replace(length, struct.pack("<HHII", 257, 4, 1, 80)))
-    assert shot is None and "bad-mesh" in told and "parts of the image are missing" in told and "export the image again" in told
+    shot, messages = opened(tmp_path, "h.tif", data.replace(length, struct.pack("<HHII", 257, 4, 1, 80)))
+    assert (
+        shot is None
+        and "bad-mesh" in messages
+        and "parts of the image are missing" in messages
+        and "export the image again" in messages
+    )
 
 
 @pytest.mark.parametrize(("name", "form"), [("h.png", "PNG"), ("h.tif", "TIFF"), ("h.tiff", "TIFF")])
 def test_vertices_are_the_samples_of_an_image(name: str, form: str, tmp_path: Path) -> None:
-    shot, told = opened(tmp_path, name, image(SAMPLES, form), ", offset: -3 mm")
-    assert shot is not None, told
+    shot, messages = opened(tmp_path, name, image(SAMPLES, form), ", offset: -3 mm")
+    assert shot is not None, messages
     mesh = shot.setting.surfaces["arena"]
     grid = mesh.vertices.reshape(5, 9, 3)
     assert (grid[..., 1] == -3.0 + 12.0 * (SAMPLES / 65535)).all()
@@ -77,8 +82,8 @@ def test_vertices_are_the_samples_of_an_image(name: str, form: str, tmp_path: Pa
 def test_arrays_layers_places_and_axes(tmp_path: Path) -> None:
     volume = RNG.normal(0, 1, (3, 5, 9)).astype(np.float32)
     data = npz(snow=volume, rock=volume[0].astype(np.float64))
-    shot, told = opened(tmp_path, "h.npz", data, ", array: snow, layer: 2, at: [1, 2, 3]", "up: z\nunits: cm\n")
-    assert shot is not None, told
+    shot, messages = opened(tmp_path, "h.npz", data, ", array: snow, layer: 2, at: [1, 2, 3]", "up: z\nunits: cm\n")
+    assert shot is not None, messages
     grid = shot.setting.surfaces["arena"].vertices.reshape(5, 9, 3)
     assert grid[..., 2] == pytest.approx(30 + 12.0 * volume[2].astype(np.float64), abs=1e-9)
     assert (grid[0, 0, 0], grid[0, 0, 1]) == (10 - 40, 20 + 200)  # seen from above the first row is the upper one: +y
@@ -86,15 +91,15 @@ def test_arrays_layers_places_and_axes(tmp_path: Path) -> None:
 
 
 def test_agents_walk_on_it_by_a_painted_map_and_info_tells_of_its_patches(tmp_path: Path) -> None:
-    shot, told = opened(tmp_path, "h.png", image(SAMPLES // 16, "PNG"))
-    assert shot is not None, told
+    shot, messages = opened(tmp_path, "h.png", image(SAMPLES // 16, "PNG"))
+    assert shot is not None, messages
     world = bind(shot.plan, shot.setting, Options(backend="numpy"))
     for _ in range(3):
         step(world)
     assert len(world) == 20 and (world.populations["a"].footing.mesh == 0).all()
     run = CliRunner()
-    done = run.invoke(app, ["run", str(tmp_path / "scene.yaml"), "--out", str(tmp_path / "c"), "--backend", "numpy", "-q"])
-    assert done.exit_code == 0, done.output
+    result = run.invoke(app, ["run", str(tmp_path / "scene.yaml"), "--out", str(tmp_path / "c"), "--backend", "numpy", "-q"])
+    assert result.exit_code == 0, result.output
     y = 12.0 * (SAMPLES // 16 / 65535)
     most = max(abs(y[i, j] - y[i, j + 1] - y[i + 1, j] + y[i + 1, j + 1]) for i in range(4) for j in range(8)) / 4
     assert f"at most {most:.3g} mm off the bilinear surface" in run.invoke(app, ["info", str(tmp_path / "c")]).output
@@ -137,9 +142,9 @@ def test_the_deviation_is_the_largest_that_is_found_by_looking() -> None:
         ("h.npz", b"PK nothing", "", "damaged"),
     ],
 )
-def test_what_is_no_height_is_told_at_its_place(name: str, data: bytes, more: str, words: str, tmp_path: Path) -> None:
-    shot, told = opened(tmp_path, name, data, more)
-    assert shot is None and "bad-mesh" in told and words in told, told
+def test_what_is_no_height_is_reported_at_its_place(name: str, data: bytes, more: str, words: str, tmp_path: Path) -> None:
+    shot, messages = opened(tmp_path, name, data, more)
+    assert shot is None and "bad-mesh" in messages and words in messages, messages
 
 
 def test_a_large_image_is_refused_by_its_header(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -68,12 +68,14 @@ def polygons_ply(draw: st.DrawFn) -> bytes:
     sign = ">" if "big" in order else "<"
     extra, faces_first, edges = (draw(st.booleans()) for _ in range(3))
     comment = b"comment after end_header comes the data" + end if draw(st.booleans()) else b""
-    real, small, whole = draw(st.sampled_from([("float", "uchar", "int"), ("float64", "uint8", "uint32")]))
+    real, small, integer = draw(st.sampled_from([("float", "uchar", "int"), ("float64", "uint8", "uint32")]))
     index = draw(st.sampled_from(["vertex_index", "vertex_indices"]))
     vertex = [f"element vertex {len(POINTS)}", *(f"property {real} {axis}" for axis in "xyz")]
-    face = [f"element face {len(FACES)}"] + (["property uchar red"] if extra else []) + [f"property list {small} {whole} {index}"]
+    face = (
+        [f"element face {len(FACES)}"] + (["property uchar red"] if extra else []) + [f"property list {small} {integer} {index}"]
+    )
     edge = ["element edge 2", "property int vertex1", "property list uchar float weights"]
-    codes = ("f" if real == "float" else "d"), ("I" if whole == "uint32" else "i")
+    codes = ("f" if real == "float" else "d"), ("I" if integer == "uint32" else "i")
     if order == "ascii":
         rows = [
             end.join(b" ".join(str(x).encode() for x in point) for point in POINTS.tolist()) + end,
@@ -201,12 +203,12 @@ def covers(ring: np.ndarray, triangles: np.ndarray, names: list[int]) -> None:
     a, b, c = (ring[triangles[:, k]] for k in range(3))
     areas = (b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0]
     x, y = ring.T
-    whole = float((x * np.roll(y, -1) - y * np.roll(x, -1)).sum())
-    assert (areas * np.sign(whole) > 0).all() and abs(areas.sum() - whole) < 1e-6 * abs(whole)
+    ring_area = float((x * np.roll(y, -1) - y * np.roll(x, -1)).sum())
+    assert (areas * np.sign(ring_area) > 0).all() and abs(areas.sum() - ring_area) < 1e-6 * abs(ring_area)
     edges = Counter((names[t[k]], names[t[(k + 1) % 3]]) for t in triangles.tolist() for k in range(3))
     border = {(a, b) for a, b in edges if (b, a) not in edges}
-    wanted = {(names[k], names[(k + 1) % len(names)]) for k in range(len(names))}
-    assert border == {(a, b) for a, b in wanted if (b, a) not in wanted} and max(edges.values()) == 1
+    ring_edges = {(names[k], names[(k + 1) % len(names)]) for k in range(len(names))}
+    assert border == {(a, b) for a, b in ring_edges if (b, a) not in ring_edges} and max(edges.values()) == 1
 
 
 @pytest.mark.parametrize("turned", [False, True])
@@ -214,11 +216,11 @@ def covers(ring: np.ndarray, triangles: np.ndarray, names: list[int]) -> None:
 @pytest.mark.parametrize("name", RINGS)
 def test_polygons_are_covered_once(name: str, axis: int, slant: float, turned: bool) -> None:
     ring = np.array(RINGS[name], float)[:: -1 if turned else 1]
-    places = {tuple(point): k for k, point in reversed(list(enumerate(ring.tolist())))}
-    names = [places[tuple(point)] for point in ring.tolist()]
-    found = triangulate(in_space(ring, axis, slant), np.array([len(ring)]), np.array(names))
-    assert not found.crossing and len(found.corners) == len(ring) - 2
-    covers(ring, found.corners, names)
+    point_numbers = {tuple(point): k for k, point in reversed(list(enumerate(ring.tolist())))}
+    names = [point_numbers[tuple(point)] for point in ring.tolist()]
+    triangulation = triangulate(in_space(ring, axis, slant), np.array([len(ring)]), np.array(names))
+    assert not triangulation.crossing and len(triangulation.corners) == len(ring) - 2
+    covers(ring, triangulation.corners, names)
 
 
 @settings(max_examples=150, deadline=None)
@@ -227,18 +229,18 @@ def test_stars_of_any_shape_are_covered_once(radii: list[int], random: object) -
     angles = np.arange(len(radii)) * 2 * np.pi / len(radii)
     ring = np.array(radii)[:, None] * np.stack([np.cos(angles), np.sin(angles)], axis=1)
     ring = np.roll(ring, radii[0], axis=0)
-    found = triangulate(in_space(ring, radii[1] % 3, 0.2), np.array([len(ring)]), np.arange(len(ring)))
-    if not found.crossing:  # stars about their middle never cross
-        covers(ring, found.corners, list(range(len(ring))))
-    assert not found.crossing
+    triangulation = triangulate(in_space(ring, radii[1] % 3, 0.2), np.array([len(ring)]), np.arange(len(ring)))
+    if not triangulation.crossing:  # stars about their middle never cross
+        covers(ring, triangulation.corners, list(range(len(ring))))
+    assert not triangulation.crossing
 
 
 def test_convex_polygons_are_fans_and_many_are_cut_at_once() -> None:
     angles = np.arange(6) * np.pi / 3
     points = np.stack([np.cos(angles), 0 * angles, -np.sin(angles)], axis=1)
-    found = triangulate(points, np.array([6, 3, 0, 2, 4]), np.array([*range(6), 0, 1, 2, 0, 1, 0, 2, 3, 5]))
-    assert found.corners[:4].tolist() == [[0, 1, 2], [0, 2, 3], [0, 3, 4], [0, 4, 5]]
-    assert found.polygon.tolist() == [0, 0, 0, 0, 1, 4, 4] and (found.cut, found.concave) == (2, 0)
+    triangulation = triangulate(points, np.array([6, 3, 0, 2, 4]), np.array([*range(6), 0, 1, 2, 0, 1, 0, 2, 3, 5]))
+    assert triangulation.corners[:4].tolist() == [[0, 1, 2], [0, 2, 3], [0, 3, 4], [0, 4, 5]]
+    assert triangulation.polygon.tolist() == [0, 0, 0, 0, 1, 4, 4] and (triangulation.cut, triangulation.concave) == (2, 0)
 
 
 def test_polygons_that_cross_themselves_are_named_and_huge_ones_are_errors() -> None:
@@ -257,7 +259,7 @@ def test_polygons_that_cross_themselves_are_named_and_huge_ones_are_errors() -> 
 # --- glTF --------------------------------------------------------------------------------------------------------------
 
 
-def gltf(mode: int = 4, indices: list[int] | None = None, uri: str | None = None, **more: object) -> tuple[bytes, bytes]:
+def gltf(mode: int = 4, indices: list[int] | None = None, uri: str | None = None, **changes: object) -> tuple[bytes, bytes]:
     """A file of one square at two nodes, one of which mirrors; and its buffer."""
     points = np.array([(0, 0, 0), (0, 0, 1), (1, 0, 0), (1, 0, 1)], np.float32)
     corners = np.array([0, 1, 2, 2, 1, 3] if indices is None else indices, np.uint16)
@@ -278,7 +280,7 @@ def gltf(mode: int = 4, indices: list[int] | None = None, uri: str | None = None
         "buffers": [
             {"byteLength": len(data), "uri": uri or "data:x;base64," + base64.b64encode(data).decode()}
         ],
-    } | more  # fmt: skip
+    } | changes  # fmt: skip
     return json.dumps(tree).encode(), data
 
 
@@ -356,15 +358,15 @@ def split_box(noise: float) -> bytes:
     """A box of which each face has its own corners, a little off."""
     points = np.array([(x, y, z) for x in (-20, 20) for y in (-20, 20) for z in (-20, 20)], float)
     quads = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
-    places = points[np.array(quads).ravel()] + np.random.default_rng(1).uniform(-noise, noise, (24, 3))
-    lines = [b"v %r %r %r" % tuple(map(float, place)) for place in places]
+    corners = points[np.array(quads).ravel()] + np.random.default_rng(1).uniform(-noise, noise, (24, 3))
+    lines = [b"v %r %r %r" % tuple(map(float, place)) for place in corners]
     return b"\n".join([*lines, *(b"f %d %d %d %d" % tuple(range(k, k + 4)) for k in range(1, 25, 4))])
 
 
 def test_vertices_are_welded_to_the_first_of_them() -> None:
-    places = np.array([[1, 0, 0], [0, 0, 0], [1, 0, 0.01], [0, 0, 0], [1, 0, 0.02], [5, 0, 0]], float)
-    made, count = welded(places, 0.015)
-    assert made[:, 2].tolist() == [0] * 6 and count == 2 and welded(places, 0.001)[1] == 0
+    points = np.array([[1, 0, 0], [0, 0, 0], [1, 0, 0.01], [0, 0, 0], [1, 0, 0.02], [5, 0, 0]], float)
+    welded_points, count = welded(points, 0.015)
+    assert welded_points[:, 2].tolist() == [0] * 6 and count == 2 and welded(points, 0.001)[1] == 0
 
 
 @pytest.mark.parametrize(("noise", "weld", "codes", "moved"), [
@@ -374,8 +376,8 @@ def test_solids_with_gaps_between_vertices_are_closed(
     tmp_path: Path, noise: float, weld: str, codes: list[str], moved: int | None
 ) -> None:
     (tmp_path / "box.obj").write_bytes(split_box(noise))
-    found, imports = checked(tmp_path, f"{{mesh: box.obj, voxel: 1 mm{weld}}}", "solid")
-    assert found == codes
+    error_codes, imports = checked(tmp_path, f"{{mesh: box.obj, voxel: 1 mm{weld}}}", "solid")
+    assert error_codes == codes
     if moved is not None:
         assert imports["ground"].welded >= moved and imports["ground"].border_edges == 0  # type: ignore[attr-defined]
 

@@ -18,7 +18,7 @@ from antdsl.scene.geometry.meshes import mesh_arrays, read_mesh
 from antdsl.scene.geometry.polygons import TooManyCorners, triangulate
 
 CORNERS = b"v 0 0 0\nv 0 0 9\nv 9 0 9\nv 9 0 0\n"
-PLACES = np.array([(0, 0, 0), (4, 0, 0), (4, 0, 4), (0, 0, 4), (0, 0, 4)], float)
+POINTS = np.array([(0, 0, 0), (4, 0, 0), (4, 0, 4), (0, 0, 4), (0, 0, 4)], float)
 
 
 def words_of(data: bytes, name: str = "a.obj", group: str | None = None) -> tuple[int, list[str]]:
@@ -39,15 +39,19 @@ def words_of(data: bytes, name: str = "a.obj", group: str | None = None) -> tupl
 )  # fmt: skip
 def test_repeated_corners_are_no_crossing(ring: list[int], triangles: list[list[int]]) -> None:
     indices = np.array([*ring, 0, 1, 2, 3])
-    found = triangulate(PLACES, np.array([len(ring), 4]), indices)
-    assert indices[found.corners].tolist() == [*triangles, [0, 1, 2], [0, 2, 3]]
-    assert not found.crossing and not found.concave and found.polygon.tolist() == [0] * len(triangles) + [1, 1]
+    triangulation = triangulate(POINTS, np.array([len(ring), 4]), indices)
+    assert indices[triangulation.corners].tolist() == [*triangles, [0, 1, 2], [0, 2, 3]]
+    assert (
+        not triangulation.crossing
+        and not triangulation.concave
+        and triangulation.polygon.tolist() == [0] * len(triangles) + [1, 1]
+    )
 
 
 @pytest.mark.parametrize("ring", [[0, 0, 0, 0], [0, 1, 1, 0], [0, 1, 0, 1]])
 def test_polygons_of_fewer_than_three_places_have_no_area(ring: list[int]) -> None:
-    found = triangulate(PLACES, np.array([4]), np.array(ring))
-    assert not found.crossing and len(found.corners) == 2  # reported with the faces without area
+    triangulation = triangulate(POINTS, np.array([4]), np.array(ring))
+    assert not triangulation.crossing and len(triangulation.corners) == 2  # reported with the faces without area
 
 
 def test_corners_on_a_straight_side_make_nothing_concave() -> None:
@@ -110,29 +114,32 @@ def test_formats_that_are_not_read_name_those_that_are() -> None:
 def glb_words(group: str | None = None, nodes: list[dict[str, object]] | None = None, **file: object) -> tuple[int, list[str]]:
     """Triangles and notes of the usual file; `nodes` are more words for each of its nodes."""
     tree = json.loads(gltf(**file)[0])  # type: ignore[arg-type]
-    for node, more in zip(tree["nodes"], nodes or [], strict=False):
-        node |= more
+    for node, properties in zip(tree["nodes"], nodes or [], strict=False):
+        node |= properties
     mesh = read_mesh(json.dumps(tree).encode(), "a.gltf", group)
     return len(mesh.faces), mesh.notes.skipped_words()
 
 
 HIDDEN = {"extensions": {"KHR_node_visibility": {"visible": False}}}
-SEEN = {"extensions": {"KHR_node_visibility": {"visible": True}}}
+VISIBLE = {"extensions": {"KHR_node_visibility": {"visible": True}}}
 
 
 def test_nodes_that_are_left_out_are_noted() -> None:
     assert glb_words(scenes=[{"nodes": [1]}]) == (2, ["nodes with a mesh outside of the scene"])
-    assert glb_words(nodes=[SEEN, HIDDEN, {}]) == (2, ["nodes with a mesh that are not visible (KHR_node_visibility)"])
+    assert glb_words(nodes=[VISIBLE, HIDDEN, {}]) == (2, ["nodes with a mesh that are not visible (KHR_node_visibility)"])
     with pytest.raises(MeshError, match="no faces"):
-        glb_words(nodes=[HIDDEN, HIDDEN, SEEN])
+        glb_words(nodes=[HIDDEN, HIDDEN, VISIBLE])
 
 
 def test_left_over_corners_and_unknown_modes_are_noted() -> None:
     assert glb_words("right", indices=[0, 1, 2, 2, 1]) == (1, ["2 × corners of an incomplete triangle"])
-    whole = [{"attributes": {"POSITION": 0}}, {"attributes": {"POSITION": 0}, "mode": 9}]
-    meshes = [{"primitives": [*whole, {"attributes": {"POSITION": 0}, "mode": 0}]}]
-    found = glb_words("right", meshes=meshes)
-    assert found == (1, ["corners of an incomplete triangle", "primitives of the unknown mode `9`", "primitives of points"])
+    complete_primitives = [{"attributes": {"POSITION": 0}}, {"attributes": {"POSITION": 0}, "mode": 9}]
+    meshes = [{"primitives": [*complete_primitives, {"attributes": {"POSITION": 0}, "mode": 0}]}]
+    counts_and_notes = glb_words("right", meshes=meshes)
+    assert counts_and_notes == (
+        1,
+        ["corners of an incomplete triangle", "primitives of the unknown mode `9`", "primitives of points"],
+    )
 
 
 # --- reports -----------------------------------------------------------------------------------------------------------
@@ -150,7 +157,7 @@ def test_a_scene_with_errors_has_its_import_report(tmp_path: Path) -> None:
     assert "no costs for `open.yaml`: it has 1 error (above)" in result.stdout
 
 
-def test_what_may_be_zero_is_told_so(tmp_path: Path) -> None:
+def test_what_may_be_zero_is_reported_so(tmp_path: Path) -> None:
     for line, help in (("clearance -5 mm", "write 0 or more"), ("size -4 mm", "write more than 0")):
         (tmp_path / "a.ant").write_text(WALKER.replace("  size 4 mm\n", f"  {line}\n"))
         assert help in [each.help for each in check_path(tmp_path / "a.ant")[1].diagnostics]

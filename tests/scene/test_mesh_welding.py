@@ -27,8 +27,8 @@ def quad(width: float, depth: float) -> bytes:
 def findings(folder: Path, world: str, place: str = "on: ground", kind: str = "surface") -> list[Diagnostic]:
     """What `check` says about a scene with some meshes."""
     things = "surface ground" if kind == "surface" else f"{kind} ground"
-    more = "; surface dot" if "dot:" in world else ""
-    (folder / "walker.ant").write_text(WALKER.replace("surface ground", things + more))
+    dot_surface = "; surface dot" if "dot:" in world else ""
+    (folder / "walker.ant").write_text(WALKER.replace("surface ground", things + dot_surface))
     scene = folder / "scene.yaml"
     scene.write_text(
         f"antdsl: 1\nworld: {{{world}}}\ncrowd: [{{species: walker, from: walker.ant, count: 9, place: {{{place}}}}}]\n"
@@ -40,20 +40,20 @@ def findings(folder: Path, world: str, place: str = "on: ground", kind: str = "s
 @pytest.mark.parametrize("depth", [1e-6, 1e-10])
 def test_a_ground_as_thin_as_a_line_is_an_error(tmp_path: Path, place: str, depth: float) -> None:
     (tmp_path / "needle.obj").write_bytes(quad(1000, depth))
-    (found,) = [each for each in findings(tmp_path, "ground: {mesh: needle.obj}", place) if each.severity == "error"]
-    assert found.code == "bad-mesh" and found.span is not None and found.span.text == "needle.obj" and found.help
+    (error,) = [each for each in findings(tmp_path, "ground: {mesh: needle.obj}", place) if each.severity == "error"]
+    assert error.code == "bad-mesh" and error.span is not None and error.span.text == "needle.obj" and error.help
 
 
 def test_a_ground_far_smaller_than_the_others_is_an_error(tmp_path: Path) -> None:
     (tmp_path / "big.obj").write_bytes(quad(5e6, 5e6))
     (tmp_path / "dot.obj").write_bytes(quad(1, 1))
-    found = findings(tmp_path, "ground: {mesh: big.obj}, dot: {mesh: dot.obj}", "on: dot")
-    assert "`dot.obj` is less than a millionth" in "".join(each.message for each in found if each.severity == "error")
+    problems = findings(tmp_path, "ground: {mesh: big.obj}, dot: {mesh: dot.obj}", "on: dot")
+    assert "`dot.obj` is less than a millionth" in "".join(each.message for each in problems if each.severity == "error")
 
 
 def test_a_scene_and_its_ground_agree_on_what_is_ground() -> None:
     rng = np.random.default_rng(3)
-    seen = set()
+    outcomes = set()
     for _ in range(60):
         vertices = rng.normal(size=(9, 3)) * 10.0 ** rng.uniform(-8, 1, (1, 3))
         vertices[::2] += 1e6 * rng.integers(0, 2)
@@ -62,8 +62,8 @@ def test_a_scene_and_its_ground_agree_on_what_is_ground() -> None:
         extent = float(np.ptp(vertices[faces].reshape(-1, 3), axis=0).max())
         live = bool(build(vertices, faces, np.zeros(3, np.int32), extent).live.any())
         assert has_live_face(vertices, faces, extent) == live
-        seen.add(live)
-    assert seen == {True, False}
+        outcomes.add(live)
+    assert outcomes == {True, False}
 
 
 @pytest.mark.parametrize("around", [None, (0.0, 0.0, 0.0)])
@@ -86,8 +86,8 @@ def box(half: float, split: bool, noise: float = 0.0, lid: bool = True) -> bytes
     if split:
         points = points[np.array(quads).ravel()]
         quads = [tuple(range(k, k + 4)) for k in range(0, len(points), 4)]
-    places = points + np.random.default_rng(1).uniform(-noise, noise, points.shape)
-    lines = [b"v %r %r %r" % tuple(map(float, place)) for place in places]
+    corners = points + np.random.default_rng(1).uniform(-noise, noise, points.shape)
+    lines = [b"v %r %r %r" % tuple(map(float, place)) for place in corners]
     return b"\n".join([*lines, *(b"f %d %d %d %d" % tuple(k + 1 for k in quad) for quad in quads)])
 
 
@@ -95,26 +95,26 @@ def box(half: float, split: bool, noise: float = 0.0, lid: bool = True) -> bytes
 @pytest.mark.parametrize("weld", ["41 mm", "60 mm", "1000 m"])
 def test_a_weld_that_leaves_nothing_is_an_error(tmp_path: Path, kind: str, more: str, weld: str) -> None:
     (tmp_path / "box.obj").write_bytes(box(20, split=False))
-    (found,) = findings(tmp_path, f"ground: {{mesh: box.obj{more}, weld: {weld}}}", "around: [0, 0, 0], radius: 5 mm", kind)
-    assert found.code == "wrong-value" and found.span is not None and found.span.text == weld
-    assert f"`weld: {weld}` moves corners of every face of `ground`" in found.message
-    assert found.help == "write less than 40 mm, its shortest edge"
+    (error,) = findings(tmp_path, f"ground: {{mesh: box.obj{more}, weld: {weld}}}", "around: [0, 0, 0], radius: 5 mm", kind)
+    assert error.code == "wrong-value" and error.span is not None and error.span.text == weld
+    assert f"`weld: {weld}` moves corners of every face of `ground`" in error.message
+    assert error.help == "write less than 40 mm, its shortest edge"
 
 
 def test_a_weld_that_flattens_a_solid_is_an_error(tmp_path: Path) -> None:
     low = box(20, split=False).replace(b"v -20.0 ", b"v -0.05 ").replace(b"v 20.0 ", b"v 0.05 ")
     (tmp_path / "box.obj").write_bytes(low)
-    (found,) = findings(tmp_path, "ground: {mesh: box.obj, voxel: 1 mm, weld: 0.2 mm}", kind="solid")
+    (error,) = findings(tmp_path, "ground: {mesh: box.obj, voxel: 1 mm, weld: 0.2 mm}", kind="solid")
     assert (
-        "leaves the solid `ground` without a volume" in found.message
-        and found.help == "write less than 0.1 mm, its shortest edge"
+        "leaves the solid `ground` without a volume" in error.message
+        and error.help == "write less than 0.1 mm, its shortest edge"
     )
 
 
 def test_a_flat_solid_is_an_error(tmp_path: Path) -> None:
     (tmp_path / "flat.obj").write_bytes(quad(20, 20) + b"f 1 2 3 4\nv 0 0 0\nf 1 2 5\nf 2 1 5\n")
-    (found,) = [x for x in findings(tmp_path, "ground: {mesh: flat.obj, voxel: 1 mm}", kind="solid") if x.severity == "error"]
-    assert "has no volume" in found.message
+    (error,) = [x for x in findings(tmp_path, "ground: {mesh: flat.obj, voxel: 1 mm}", kind="solid") if x.severity == "error"]
+    assert "has no volume" in error.message
 
 
 def grid(size: int) -> bytes:
@@ -128,9 +128,9 @@ def test_faces_that_welding_removes_are_counted(tmp_path: Path) -> None:
     (tmp_path / "grid.obj").write_bytes(grid(5) + b"v 4 0 4.1\nv 5 0 4\nf 25 26 27\n")
     world = "ground: {mesh: grid.obj, weld: 0.2 mm}"
     assert "degenerate-faces" not in [each.code for each in findings(tmp_path, world)]
-    found = mesh_imports(tmp_path / "scene.yaml", Choices())[0]["ground"]
-    assert (found.triangles, found.dropped, found.left, found.welded) == (33, 1, 32, 1)
-    assert "1 degenerate or doubled triangle dropped, 32 triangles left" in " ".join(import_lines(found, "mm"))
+    ground_import = mesh_imports(tmp_path / "scene.yaml", Choices())[0]["ground"]
+    assert (ground_import.triangles, ground_import.dropped, ground_import.left, ground_import.welded) == (33, 1, 32, 1)
+    assert "1 degenerate or doubled triangle dropped, 32 triangles left" in " ".join(import_lines(ground_import, "mm"))
     codes = [each.code for each in findings(tmp_path, "ground: {mesh: grid.obj, weld: 0.6 mm}")]
     assert "degenerate-faces" in codes
 
@@ -138,11 +138,11 @@ def test_faces_that_welding_removes_are_counted(tmp_path: Path) -> None:
 def test_a_weld_among_many_vertices_takes_no_more_memory_than_they_do(tmp_path: Path) -> None:
     (tmp_path / "grid.obj").write_bytes(grid(90) + b"v 9999 0 0\nv 9999 0 9999\nf 1 90 8101\nf 1 8101 8102\n")
     tracemalloc.start()
-    found = findings(tmp_path, "ground: {mesh: grid.obj, weld: 100 mm}")
+    problems = findings(tmp_path, "ground: {mesh: grid.obj, weld: 100 mm}")
     _, most = tracemalloc.get_traced_memory()
     tracemalloc.stop()
-    assert "is farther than from each vertex to dozens of others" in found[0].message and most < 4e7
-    assert found[0].help == "write less than 1 mm, its shortest edge"
+    assert "is farther than from each vertex to dozens of others" in problems[0].message and most < 4e7
+    assert problems[0].help == "write less than 1 mm, its shortest edge"
 
 
 @pytest.mark.parametrize(
@@ -158,7 +158,7 @@ def test_a_weld_among_many_vertices_takes_no_more_memory_than_they_do(tmp_path: 
 )
 def test_an_open_solid_has_its_gaps_and_holes_measured(tmp_path: Path, data: bytes, help: str) -> None:
     (tmp_path / "box.obj").write_bytes(data)
-    (found,) = findings(tmp_path, "ground: {mesh: box.obj, voxel: 1 mm}", kind="solid")
-    assert found.code == "bad-mesh" and str(found.help).startswith(help)
+    (error,) = findings(tmp_path, "ground: {mesh: box.obj, voxel: 1 mm}", kind="solid")
+    assert error.code == "bad-mesh" and str(error.help).startswith(help)
     if "weld" in help:
         assert not findings(tmp_path, "ground: {mesh: box.obj, voxel: 1 mm, " + help.split("`")[1] + "}", kind="solid")

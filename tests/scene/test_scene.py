@@ -24,28 +24,28 @@ def read(text: str | bytes, folder: Path = CASES) -> tuple[Scene | None, Report]
 
 def cases() -> list[tuple[str, str]]:
     """Chunks of `cases/scene/*.yaml`, each after a line `# error: CODE, LINE:COLUMN, WORDS` for every complaint wanted."""
-    found = []
+    named_chunks = []
     for path in sorted(CASES.glob("*.yaml")):
         for number, chunk in enumerate(path.read_text(encoding="utf-8").split("\n=====\n")):
-            found.append((f"{path.stem}-{number}", chunk))
-    return found
+            named_chunks.append((f"{path.stem}-{number}", chunk))
+    return named_chunks
 
 
 @pytest.mark.parametrize("chunk", [pytest.param(text, id=name) for name, text in cases()])
 def test_cases(chunk: str) -> None:
     """Line numbers are those of the text after the comments that say what is wanted."""
     lines = chunk.splitlines()
-    wanted = [line.removeprefix("# error: ").split(", ", 2) for line in lines if line.startswith("# error: ")]
+    expected = [line.removeprefix("# error: ").split(", ", 2) for line in lines if line.startswith("# error: ")]
     text = "\n".join(line for line in lines if not line.startswith("# error: ")) + "\n"
     scene, report = read(text)
     got = [
         (d.code, "{}:{}".format(*d.span.source.line_column(d.span.start)), d.message, d.help) for d in report.sorted() if d.span
     ]
-    assert [entry[:2] for entry in got] == [(code, place) for code, place, _ in wanted], got
-    for (_, _, words), (_, _, message, help) in zip(wanted, got, strict=True):
+    assert [entry[:2] for entry in got] == [(code, place) for code, place, _ in expected], got
+    for (_, _, words), (_, _, message, help) in zip(expected, got, strict=True):
         assert words in f"{message} | {help}"
         assert message[0] in "`0123456789" or message[0].islower()
-    assert (scene is None) == bool(wanted)
+    assert (scene is None) == bool(expected)
 
 
 def test_everything_a_scene_may_say() -> None:

@@ -64,12 +64,12 @@ def test_random_order_of_faces_and_corners_changes_nothing() -> None:
     rng = np.random.default_rng(1)
     for trial in range(10):
         pieces = [moved(turned(BALL) if rng.random() < 0.5 else BALL, 40.0 * k) for k in range(4)]
-        wanted = sum(not meshes.outward(moved(piece, 0.0)) for piece in pieces)
+        expected = sum(not meshes.outward(moved(piece, 0.0)) for piece in pieces)
         vertices, faces = pieces[0]
         for piece in pieces[1:]:
             vertices, faces = both((vertices, faces), piece)
         faces = np.array([np.roll(face, rng.integers(3)) for face in faces[rng.permutation(len(faces))]])
-        assert inside_out(vertices, faces.astype(np.int32)) == (wanted, 0), trial
+        assert inside_out(vertices, faces.astype(np.int32)) == (expected, 0), trial
 
 
 def test_edges_that_border_on_nothing() -> None:
@@ -90,6 +90,6 @@ def test_an_obstacle_that_looks_inward_is_warned_of(folder: Path, mesh: meshes.M
     (folder / "ant.ant").write_text(program.replace("surface ground", "surface ground; obstacle stone"))
     shot, report = opened(folder, SCENE.replace("  food:", "  stone: {mesh: stone.ply}\n  food:"))
     assert shot is not None
-    told = [d for d in report.diagnostics if d.code == "inside-out"]
-    assert len(told) == (words is not None) and all(words in d.message and d.severity == "warning" for d in told)  # type: ignore[operator]
-    assert all(d.span is not None and d.span.text == "{mesh: stone.ply}" for d in told)
+    warnings = [d for d in report.diagnostics if d.code == "inside-out"]
+    assert len(warnings) == (words is not None) and all(words in d.message and d.severity == "warning" for d in warnings)  # type: ignore[operator]
+    assert all(d.span is not None and d.span.text == "{mesh: stone.ply}" for d in warnings)

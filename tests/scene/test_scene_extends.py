@@ -68,9 +68,9 @@ def test_a_mistake_is_shown_in_the_file_where_it_was_written_and_once(
     (tmp_path / "base.yaml").write_text(BASE.replace("fps: 30", "fsp: 30"))
     monkeypatch.setattr("sys.argv", ["antdsl", "check", "--format", "concise", str(tmp_path)])
     assert run_in_process() == 1
-    told = capsys.readouterr().out
-    assert told.count("unknown-key") == 1 and "base.yaml:2:1" in told
-    assert "one.yaml:3:7" in told and "two.yaml:3:7" in told
+    stdout_text = capsys.readouterr().out
+    assert stdout_text.count("unknown-key") == 1 and "base.yaml:2:1" in stdout_text
+    assert "one.yaml:3:7" in stdout_text and "two.yaml:3:7" in stdout_text
 
 
 def test_what_comes_from_the_base_is_part_of_what_a_result_depends_on(tmp_path: Path) -> None:
@@ -93,7 +93,7 @@ def test_the_edition_is_said_by_each_file(tmp_path: Path) -> None:
     assert [d.code for d in report.diagnostics] == ["missing-key"]
 
 
-def test_a_base_is_read_through_the_door_to_files(tmp_path: Path) -> None:
+def test_a_base_is_read_with_the_checks_of_all_files(tmp_path: Path) -> None:
     (tmp_path / "real.yaml").write_text(BASE)
     (tmp_path / "base.yaml").symlink_to(tmp_path / "real.yaml")
     _, report = read(tmp_path, scene="antdsl: 1\nextends: base.yaml\n")

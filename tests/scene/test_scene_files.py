@@ -294,29 +294,29 @@ def test_a_scene_becomes_a_setting_in_millimetres(folder: Path) -> None:
         ("frames: 1..3", "frames: 1..3\nunits: cm\nfields: {}", "", ""),
     ],
 )  # fmt: skip
-def test_what_does_not_fit_is_told_at_its_place(folder: Path, old: str, new: str, code: str, words: str) -> None:
+def test_what_does_not_fit_is_reported_at_its_place(folder: Path, old: str, new: str, code: str, words: str) -> None:
     assert old in SCENE
     shot, report = opened(folder, SCENE.replace(old, new))
     if not code:
         assert shot is not None, report.errors
         return
     assert [d.code for d in report.errors] == [code], report.errors
-    found = report.errors[0]
-    assert words in f"{found.message} | {found.help}", found
-    assert found.span is not None and found.span.source.path.endswith("scene.yaml")
-    line, _ = found.span.source.line_column(found.span.start)
+    error = report.errors[0]
+    assert words in f"{error.message} | {error.help}", error
+    assert error.span is not None and error.span.source.path.endswith("scene.yaml")
+    line, _ = error.span.source.line_column(error.span.start)
     changed = new.splitlines()[-1] if new else "world:"
-    assert changed in found.span.source.line_text(line), found.span.source.line_text(line)
+    assert changed in error.span.source.line_text(line), error.span.source.line_text(line)
 
 
 def test_a_request_for_a_billion_cells_allocates_nothing(folder: Path) -> None:
     program = folder / "ant.ant"
     program.write_text(PROGRAM.replace("cell 4 mm", "cell 0.001 mm"))
-    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    start_memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     shot, report = opened(folder, SCENE)
     assert shot is None and [d.code for d in report.errors] == ["too-large"]
     assert "would need at least 4" in report.errors[0].message and "GiB" in report.errors[0].message
-    assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 100 * 1024
+    assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - start_memory < 100 * 1024
 
 
 def test_too_many_agents_are_refused(folder: Path) -> None:
@@ -342,7 +342,7 @@ def test_values_of_the_person_go_before_the_scenes(folder: Path) -> None:
         assert shot is None and [d.code for d in report.errors] == [code], (text, report.errors)
 
 
-def test_files_that_use_each_other_in_a_circle_are_told(folder: Path) -> None:
+def test_files_that_use_each_other_in_a_circle_are_reported(folder: Path) -> None:
     (folder / "a.ant").write_text('ant 1\nuse "./b.ant" as b\nbehaviour one() -> push { b.two() }\n')
     (folder / "b.ant").write_text('ant 1\nuse "./a.ant" as a\nbehaviour two() -> push { a.one() }\n')
     (folder / "ant.ant").write_text(PROGRAM.replace("use steering", 'use steering\nuse "./a.ant" as a'))
@@ -374,7 +374,7 @@ def test_what_is_odd_about_a_mesh_is_a_warning(folder: Path, old: str, new: str,
         assert shot is not None
 
 
-def test_a_scene_without_agents_is_told(folder: Path) -> None:
+def test_a_scene_without_agents_is_reported(folder: Path) -> None:
     shot, report = opened(folder, "antdsl: 1\n")
     assert shot is None and [d.code for d in report.errors] == ["no-crowd"]
     assert "add `crowd:`" in (report.errors[0].help or "")
@@ -424,12 +424,12 @@ def test_strangers_scenes_run_nothing_and_open_nothing_outside(folder: Path) -> 
     for number, text in enumerate(hostile):
         (folder / f"bad{number:02}.yaml").write_text(text)
     environment = child_environment()
-    done = subprocess.run(
+    process = subprocess.run(
         [sys.executable, "-c", AUDITED, str(folder)], env=environment, capture_output=True, text=True, timeout=60
     )
-    assert done.returncode == 0, done.stderr[-600:]
+    assert process.returncode == 0, process.stderr[-600:]
     shipped = (str(folder), str(ROOT / "behaviours"), str(ROOT / "grammar"))
-    strange = [line for line in done.stdout.splitlines() if not line.startswith(tuple(f"open {place}" for place in shipped))]
+    strange = [line for line in process.stdout.splitlines() if not line.startswith(tuple(f"open {place}" for place in shipped))]
     # below the folder files are opened by their own names, part by part
     named = {"open ant.ant", "open fine.ant", "open ground.ply", "open nan.obj", "open empty.ply", "open way.json"}
     assert not set(strange) - named, strange

@@ -48,11 +48,11 @@ def test_a_line_that_is_shifted_is_marked_and_put_back(number: int, blanks: int,
     lines = GOOD.splitlines()
     lines[number - 1] = " " * blanks + lines[number - 1].lstrip()
     text = "\n".join(lines) + "\n"
-    found = errors(text)
-    if not found:  # a block that is set in more as a whole
+    syntax_errors = errors(text)
+    if not syntax_errors:  # a block that is set in more as a whole
         assert (number, blanks) in ((4, 3), (6, 5), (6, 3), (17, 1), (8, 7))
         return
-    (error,) = found
+    (error,) = syntax_errors
     assert error.code == "scene-syntax" and error.span is not None and error.fix is not None and error.help
     place = error.span.source.line_column(error.span.start)
     near = number + 1 if (number, blanks) in ((4, 3), (8, 7), (11, 3), (6, 3), (6, 5)) else number

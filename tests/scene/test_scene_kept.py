@@ -14,26 +14,26 @@ FORAGING = Path(__file__).parents[2] / "examples" / "foraging"
 
 
 def mesh(writeable: bool) -> MeshData:
-    made = MeshData(np.eye(3), np.array([[0, 1, 2]], np.int32))
-    made.vertices.setflags(write=writeable)
-    return made
+    new_mesh = MeshData(np.eye(3), np.array([[0, 1, 2]], np.int32))
+    new_mesh.vertices.setflags(write=writeable)
+    return new_mesh
 
 
 def test_work_is_done_once_for_a_mesh_that_cannot_change() -> None:
-    done = []
+    calls = []
 
     @once_a_mesh
-    def work(what: MeshData, more: int) -> int:
-        done.append(what)
-        return more
+    def work(what: MeshData, number: int) -> int:
+        calls.append(what)
+        return number
 
     fixed, other, loose = mesh(False), mesh(False), mesh(True)
     assert [work(fixed, 1), work(fixed, 1), work(other, 1), work(fixed, 2)] == [1, 1, 1, 2]
-    assert done == [fixed, other, fixed], "another mesh is another one though it holds the same"
+    assert calls == [fixed, other, fixed], "another mesh is another one though it holds the same"
     work(loose, 1)
     loose.vertices[0] = 7
     work(loose, 1)
-    assert done[3:] == [loose, loose]
+    assert calls[3:] == [loose, loose]
 
 
 def test_a_scene_that_is_staged_again_is_given_the_same_meshes_and_another_scene_others(tmp_path: Path) -> None:
@@ -53,14 +53,14 @@ def test_a_scene_that_is_staged_again_is_given_the_same_meshes_and_another_scene
 
 
 def test_a_scene_with_very_many_items_keeps_no_more_than_it_may() -> None:
-    done = []
+    calls = []
 
     @once_a_mesh
-    def work(what: MeshData, *, more: int) -> int:
-        done.append(more)
-        return more
+    def work(what: MeshData, *, number: int) -> int:
+        calls.append(number)
+        return number
 
     fixed = mesh(False)
     assert [work(fixed, more=k) for k in range(5000)] == list(range(5000))
-    assert work(fixed, more=4999) == 4999 and len(done) == 5000
-    assert work(fixed, more=0) == 0 and len(done) == 5001, "what was forgotten is worked out again"
+    assert work(fixed, more=4999) == 4999 and len(calls) == 5000
+    assert work(fixed, more=0) == 0 and len(calls) == 5001, "what was forgotten is worked out again"

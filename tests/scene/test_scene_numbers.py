@@ -79,12 +79,12 @@ ELSEWHERE = {("UsdThing", name) for name in ("at", "rotate", "scale", "voxel", "
 NUMBER = re.compile(r"(?<![\w.#])-?\d+(?:\.\d+)?(?![\w.]*\.(?:ply|png|npz|json|ant))")
 
 
-def places() -> list[tuple[int, int]]:
+def number_spans() -> list[tuple[int, int]]:
     """Where numbers stand in the text of the scene."""
     return [match.span() for match in NUMBER.finditer(SCENE) if not SCENE[: match.start()].endswith("antdsl: ")]
 
 
-PLACES = places()
+NUMBER_SPANS = number_spans()
 
 
 @pytest.fixture(scope="module")
@@ -125,12 +125,12 @@ def line_of(place: tuple[int, int]) -> str:
 
 @pytest.mark.parametrize("number", range(3))
 def test_extreme_numbers_in_some_fields(folder: Path, number: int) -> None:
-    for index in range(number * 7, len(PLACES), 21):
-        demand_message_or_run(folder, PLACES[index], EXTREMES[(index * 5 + number) % len(EXTREMES)])
+    for index in range(number * 7, len(NUMBER_SPANS), 21):
+        demand_message_or_run(folder, NUMBER_SPANS[index], EXTREMES[(index * 5 + number) % len(EXTREMES)])
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("place", PLACES, ids=line_of)
+@pytest.mark.parametrize("place", NUMBER_SPANS, ids=line_of)
 def test_extreme_numbers_in_every_field(folder: Path, place: tuple[int, int]) -> None:
     for extreme in EXTREMES:
         demand_message_or_run(folder, place, extreme)
@@ -144,7 +144,9 @@ def test_the_scene_has_every_numeric_field(folder: Path) -> None:
     used = {
         (type(part).__name__, name) for part in parts(loaded.model) for name in numeric(part) if getattr(part, name) is not None
     }
-    known = {(kind.__name__, name) for kind in kinds(Part) for name, found in kind.model_fields.items() if is_numeric(found)}
+    known = {
+        (kind.__name__, name) for kind in kinds(Part) for name, field_info in kind.model_fields.items() if is_numeric(field_info)
+    }
     inherited = {name for _, name in used}
     missing = {(kind, name) for kind, name in known - used - ELSEWHERE if name not in inherited}
     assert not missing
@@ -156,12 +158,14 @@ def kinds(kind: type[Part]) -> Iterator[type[Part]]:
         yield from kinds(each)
 
 
-def is_numeric(found: Any) -> bool:
-    return bool(re.search(r"\bint\b|\bfloat\b|Quantity|Fraction", repr(found.annotation) + repr(found.metadata)))
+def is_numeric(field_info: Any) -> bool:
+    return bool(re.search(r"\bint\b|\bfloat\b|Quantity|Fraction", repr(field_info.annotation) + repr(field_info.metadata)))
 
 
 def numeric(part: Part) -> list[str]:
-    return [name for name, found in type(part).model_fields.items() if is_numeric(found) and name in part.model_fields_set]
+    return [
+        name for name, field_info in type(part).model_fields.items() if is_numeric(field_info) and name in part.model_fields_set
+    ]
 
 
 def parts(value: Any) -> Iterator[Part]:

@@ -36,9 +36,9 @@ def folder(tmp_path: Path) -> Path:
     return tmp_path
 
 
-def opened(folder: Path, more: str = "", **given: str) -> tuple[Shot | None, list[tuple[str, str]]]:
-    (folder / "scene.yaml").write_text(SCENE + more)
-    params = {name.replace("__", "."): value for name, value in given.items()}
+def opened(folder: Path, scene_lines: str = "", **values: str) -> tuple[Shot | None, list[tuple[str, str]]]:
+    (folder / "scene.yaml").write_text(SCENE + scene_lines)
+    params = {name.replace("__", "."): value for name, value in values.items()}
     shot, report = open_scene(folder / "scene.yaml", Choices(params=params))
     return shot, [(d.code, "" if d.span is None else d.span.text) for d in report.diagnostics]
 
@@ -48,8 +48,8 @@ def opened(folder: Path, more: str = "", **given: str) -> tuple[Shot | None, lis
     [("half_life: 1 s", 4.0), ("evaporate: 0 %/s", 8.0), ("keeps: 100 %/step", 8.0), ("keeps: 50 %/step", 8.0 / 2**24)],
 )
 def test_a_scene_says_how_a_field_fades(folder: Path, setting: str, left: float) -> None:
-    shot, told = opened(folder, f"set: {{trail.{setting}}}\n")
-    assert shot is not None and not told
+    shot, diagnostics = opened(folder, f"set: {{trail.{setting}}}\n")
+    assert shot is not None and not diagnostics
     world = bind(shot.plan, shot.setting)
     for _ in range(24):
         step(world)
@@ -58,8 +58,8 @@ def test_a_scene_says_how_a_field_fades(folder: Path, setting: str, left: float)
 
 def test_the_person_goes_before_the_scene_and_is_part_of_what_the_result_depends_on(folder: Path) -> None:
     scene, _ = opened(folder, "set: {trail.half_life: 1 s}\n")
-    both, told = opened(folder, "set: {trail.half_life: 1 s}\n", trail__half_life="2s", walker__pace="0.3")
-    assert scene is not None and both is not None and not told
+    both, diagnostics = opened(folder, "set: {trail.half_life: 1 s}\n", trail__half_life="2s", walker__pace="0.3")
+    assert scene is not None and both is not None and not diagnostics
     world = bind(both.plan, both.setting)
     for _ in range(48):
         step(world)
@@ -80,6 +80,6 @@ def test_the_person_goes_before_the_scene_and_is_part_of_what_the_result_depends
         ("trial.half_life: 3 s", "unknown-thing", "trial.half_life"),
     ],
 )
-def test_what_cannot_be_is_told_where_it_stands(folder: Path, setting: str, code: str, at: str) -> None:
-    shot, told = opened(folder, f"set: {{{setting}}}\n")
-    assert shot is None and told == [(code, at)]
+def test_what_cannot_be_is_reported_where_it_stands(folder: Path, setting: str, code: str, at: str) -> None:
+    shot, diagnostics = opened(folder, f"set: {{{setting}}}\n")
+    assert shot is None and diagnostics == [(code, at)]

@@ -42,20 +42,22 @@ def usda(body: str, head: str = "") -> str:
     return f"#usda 1.0\n({head}\n)\n{body}\n"
 
 
-def mesh(name: str = "m", more: str = "", about: str = "") -> str:
-    return f'def Mesh "{name}" {about} {{\n{SQUARE}{more}\n}}\n'
+def mesh(name: str = "m", properties: str = "", metadata: str = "") -> str:
+    return f'def Mesh "{name}" {metadata} {{\n{SQUARE}{properties}\n}}\n'
 
 
-def opened(folder: Path, body: str, prim: str = "/m", *, head: str = "", frames: range = range(1, 2), **more: object) -> UsdStage:
+def opened(
+    folder: Path, body: str, prim: str = "/m", *, head: str = "", frames: range = range(1, 2), **changes: object
+) -> UsdStage:
     (folder / "a.usda").write_text(usda(body, head))
-    given = {"up": "y", "fps": Fraction(24), **more}
-    return open_stage(Roots(folder, {}), "a.usda", prim, frames=frames, **given)  # type: ignore[arg-type]
+    options = {"up": "y", "fps": Fraction(24), **changes}
+    return open_stage(Roots(folder, {}), "a.usda", prim, frames=frames, **options)  # type: ignore[arg-type]
 
 
 def refused(why: Callable[[], object]) -> UsdError:
-    with pytest.raises(UsdError) as found:
+    with pytest.raises(UsdError) as error:
         why()
-    return found.value
+    return error.value
 
 
 # --- meshes --------------------------------------------------------------------------------------------------------------
@@ -76,10 +78,10 @@ def test_units_and_axes_are_the_files(tmp_path: Path) -> None:
 def test_the_other_hand_mirrors_and_holes_are_minded(tmp_path: Path) -> None:
     plain = read_usd_mesh(opened(tmp_path, mesh())).raw
     assert plain.faces.tolist() == [[0, 1, 2], [0, 2, 3]]
-    left = read_usd_mesh(opened(tmp_path, mesh(more='uniform token orientation = "leftHanded"'))).raw
+    left = read_usd_mesh(opened(tmp_path, mesh(properties='uniform token orientation = "leftHanded"'))).raw
     assert left.faces.tolist() == [[0, 3, 2], [0, 2, 1]]
     flip = 'double3 xformOp:scale = (-1, 1, 1)\nuniform token[] xformOpOrder = ["xformOp:scale"]'
-    mirrored = read_usd_mesh(opened(tmp_path, mesh(more=flip))).raw
+    mirrored = read_usd_mesh(opened(tmp_path, mesh(properties=flip))).raw
     a, b, c = mirrored.vertices[mirrored.faces[0]]
     assert np.cross(b - a, c - a)[2] > 0, "outside stays outside"
     two = SQUARE.replace("[4]", "[3, 3]").replace("[0, 1, 2, 3]", "[0, 1, 2, 0, 2, 3]")
@@ -87,21 +89,21 @@ def test_the_other_hand_mirrors_and_holes_are_minded(tmp_path: Path) -> None:
     assert len(holed.faces) == 1 and len(holed.vertices) == 3 and holed.own_vertices.tolist() == [0, 2, 3]
 
 
-def test_only_what_is_seen_of_the_wanted_purpose_is_read(tmp_path: Path) -> None:
+def test_only_visible_prims_of_the_requested_purpose_are_read(tmp_path: Path) -> None:
     body = (
         'def Xform "s" {\n' + mesh("a")
         + mesh("b", 'token visibility = "invisible"') + mesh("c", 'uniform token purpose = "guide"')
-        + mesh("d", 'uniform token purpose = "proxy"') + mesh("e", about="(active = false)") + 'def Sphere "f" {}\n}'
+        + mesh("d", 'uniform token purpose = "proxy"') + mesh("e", metadata="(active = false)") + 'def Sphere "f" {}\n}'
     )  # fmt: skip
-    found = read_usd_mesh(opened(tmp_path, body, "/s"))
-    assert len(found.raw.faces) == 2 and found.passed_over == ("Sphere",)
+    usd_mesh = read_usd_mesh(opened(tmp_path, body, "/s"))
+    assert len(usd_mesh.raw.faces) == 2 and usd_mesh.passed_over == ("Sphere",)
     assert len(read_usd_mesh(opened(tmp_path, body, "/s", purpose="proxy")).raw.faces) == 4
     proxy = refused(lambda: read_usd_mesh(opened(tmp_path, body, "/s/d")))
     assert proxy.code == "no-such-prim" and proxy.help == "its meshes are of the purpose `proxy`: write `purpose: proxy`"
     assert "only Sphere" in str(refused(lambda: read_usd_mesh(opened(tmp_path, body, "/s/f"))))
 
 
-def test_transforms_nest_instances_are_baked_and_moves_are_kept_apart(tmp_path: Path) -> None:
+def test_transforms_nest_instances_are_baked_and_moves_are_stored_separately(tmp_path: Path) -> None:
     body = """def Xform "w" {
   double3 xformOp:translate.timeSamples = { 1: (0, 0, 0), 3: (2, 0, 0) }
   uniform token[] xformOpOrder = ["xformOp:translate"]
@@ -117,26 +119,28 @@ def test_transforms_nest_instances_are_baked_and_moves_are_kept_apart(tmp_path: 
   }
 }
 """.replace("MESH", mesh("m"))
-    found = read_usd_mesh(opened(tmp_path, body + mesh("still"), "/w", frames=range(1, 5), head=MM))
-    assert found.raw.vertices.reshape(2, 4, 3)[:, 2].tolist() == [[1, 1, 1], [2, 2, 3]]
-    assert found.moves is not None and found.moves.frames == 4
-    at = [found.moves.vertices(found.raw.vertices, k)[0, 0] for k in range(-1, 6)]
+    usd_mesh = read_usd_mesh(opened(tmp_path, body + mesh("still"), "/w", frames=range(1, 5), head=MM))
+    assert usd_mesh.raw.vertices.reshape(2, 4, 3)[:, 2].tolist() == [[1, 1, 1], [2, 2, 3]]
+    assert usd_mesh.moves is not None and usd_mesh.moves.frames == 4
+    at = [usd_mesh.moves.vertices(usd_mesh.raw.vertices, k)[0, 0] for k in range(-1, 6)]
     assert at == [0, 0, 1, 2, 2, 2, 2], "held before the first and after the last"
-    whole = read_usd_mesh(opened(tmp_path, body + mesh("still"), "/", frames=range(1, 5), head=MM))
-    assert whole.moves is not None and len(whole.raw.vertices) == 12
-    moved = whole.moves.vertices(whole.raw.vertices, 2) - whole.raw.vertices
+    complete_mesh = read_usd_mesh(opened(tmp_path, body + mesh("still"), "/", frames=range(1, 5), head=MM))
+    assert complete_mesh.moves is not None and len(complete_mesh.raw.vertices) == 12
+    moved = complete_mesh.moves.vertices(complete_mesh.raw.vertices, 2) - complete_mesh.raw.vertices
     assert sorted(moved[:, 0].tolist()) == [0] * 4 + [2] * 8
 
 
 def test_points_that_bend_and_frames_per_second(tmp_path: Path) -> None:
-    bent = SQUARE.replace("point3f[] points = [(0,0,0), (1,0,0), (1,1,0), (0,1,0)]", "")
-    bent += "point3f[] points.timeSamples = { 0: [(0,0,0), (1,0,0), (1,1,0), (0,1,0)], 48: [(0,0,4), (1,0,0), (1,1,0), (0,1,0)] }"
-    body = f'def Mesh "m" {{\n{bent}\n}}'
+    square = SQUARE.replace("point3f[] points = [(0,0,0), (1,0,0), (1,1,0), (0,1,0)]", "")
+    square += (
+        "point3f[] points.timeSamples = { 0: [(0,0,0), (1,0,0), (1,1,0), (0,1,0)], 48: [(0,0,4), (1,0,0), (1,1,0), (0,1,0)] }"
+    )
+    body = f'def Mesh "m" {{\n{square}\n}}'
     # 48 codes a second on 24 frames a second: frame 12 is code 24
     head = f"{MM}\ntimeCodesPerSecond = 48"
-    found = read_usd_mesh(opened(tmp_path, body, frames=range(0, 25), head=head))
-    assert found.moves is not None
-    assert [found.moves.vertices(found.raw.vertices, k)[0, 2] for k in (0, 12, 24)] == [0, 2, 4]
+    usd_mesh = read_usd_mesh(opened(tmp_path, body, frames=range(0, 25), head=head))
+    assert usd_mesh.moves is not None
+    assert [usd_mesh.moves.vertices(usd_mesh.raw.vertices, k)[0, 2] for k in (0, 12, 24)] == [0, 2, 4]
     other = body.replace("48: [(0,0,4), ", "48: [(0,0,4), (0,0,4), ")
     assert refused(lambda: read_usd_mesh(opened(tmp_path, other, frames=range(0, 25), head=head))).code == "moving-topology"
     faces = mesh().replace(
@@ -146,7 +150,7 @@ def test_points_that_bend_and_frames_per_second(tmp_path: Path) -> None:
     assert read_usd_mesh(opened(tmp_path, faces)).moves is None, "one frame has one set of faces"
 
 
-def test_damaged_meshes_are_told(tmp_path: Path) -> None:
+def test_damaged_meshes_are_reported(tmp_path: Path) -> None:
     for old, new in (("[0, 1, 2, 3]", "[0, 1, 2, 4]"), ("[4]", "[5]"), ("(1,1,0)", "(nan,1,0)")):
         with pytest.raises(MeshError, match=r"which is not there|than its faces say|finite"):
             read_usd_mesh(opened(tmp_path, mesh().replace(old, new)))
@@ -163,22 +167,22 @@ def test_too_many_faces_are_refused_before_they_are_made(tmp_path: Path) -> None
     instancer.CreateProtoIndicesAttr(Vt.IntArray(10))
     stage.Save()
     del stage
-    given = open_stage(Roots(tmp_path, {}), "a.usda", "/i", up="y", frames=range(1, 2), fps=Fraction(24))
+    usd_stage = open_stage(Roots(tmp_path, {}), "a.usda", "/i", up="y", frames=range(1, 2), fps=Fraction(24))
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(limits, "MESH_FACES", 19)
         tracemalloc.start()
-        assert refused(lambda: read_usd_mesh(given)).code == "too-large"
+        assert refused(lambda: read_usd_mesh(usd_stage)).code == "too-large"
         assert tracemalloc.get_traced_memory()[1] < 1e6
         tracemalloc.stop()
 
 
 def test_primvars_of_vertices_turn_with_their_mesh(tmp_path: Path) -> None:
-    more = """float[] primvars:damp = [0, 1, 2, 3] ( interpolation = "vertex" )
+    properties = """float[] primvars:damp = [0, 1, 2, 3] ( interpolation = "vertex" )
     vector3f[] primvars:comb = [(1,0,0), (1,0,0), (0,0.5,0), (1,0,0)] ( interpolation = "vertex" )
     float[] primvars:few = [1, 2] ( interpolation = "uniform" )
     double xformOp:rotateZ = 90
     uniform token[] xformOpOrder = ["xformOp:rotateZ"]"""
-    stage = opened(tmp_path, mesh(more=more))
+    stage = opened(tmp_path, mesh(properties=properties))
     values = read_usd_mesh(stage, ["damp", "comb"]).values
     assert values["damp"].tolist() == [0, 1, 2, 3]
     assert np.allclose(values["comb"], [(0, 1, 0), (0, 1, 0), (-0.5, 0, 0), (0, 1, 0)])
@@ -189,17 +193,17 @@ def test_primvars_of_vertices_turn_with_their_mesh(tmp_path: Path) -> None:
 # --- curves, points, cameras ---------------------------------------------------------------------------------------------
 
 
-def curve(kind: str, points: str, more: str = "") -> str:
+def curve(kind: str, points: str, properties: str = "") -> str:
     count = points.count("(")
     head = f'def BasisCurves "c" {{\nuniform token type = "{kind}"\n'
-    return f"{head}int[] curveVertexCounts = [{count}]\npoint3f[] points = [{points}]\n{more}\n}}\n"
+    return f"{head}int[] curveVertexCounts = [{count}]\npoint3f[] points = [{points}]\n{properties}\n}}\n"
 
 
 def test_curves_of_every_basis(tmp_path: Path) -> None:
     mm = MM
 
-    def line(*given: str) -> np.ndarray:
-        return read_usd_curve(opened(tmp_path, curve(*given), "/c", head=mm))[0]
+    def line(*arguments: str) -> np.ndarray:
+        return read_usd_curve(opened(tmp_path, curve(*arguments), "/c", head=mm))[0]
 
     assert line("linear", "(0,0,0), (5,0,0)").tolist() == [[0, 0, 0], [5, 0, 0]]
     straight = "(0,0,0), (3,0,0), (6,0,0), (9,0,0)"
@@ -215,11 +219,13 @@ def test_curves_of_every_basis(tmp_path: Path) -> None:
 
 
 def test_a_curve_that_moves_and_what_is_no_single_curve(tmp_path: Path) -> None:
-    more = (
+    properties = (
         'double3 xformOp:translate.timeSamples = { 1: (0,0,0), 2: (0,0,7) }\nuniform token[] xformOpOrder = ["xformOp:translate"]'
     )
-    found = read_usd_curve(opened(tmp_path, curve("linear", "(0,0,0), (5,0,0)", more), "/c", head=MM, frames=range(1, 3)))
-    assert found.shape == (2, 2, 3) and found[1, 0].tolist() == [0, 0, 7]
+    curve_points = read_usd_curve(
+        opened(tmp_path, curve("linear", "(0,0,0), (5,0,0)", properties), "/c", head=MM, frames=range(1, 3))
+    )
+    assert curve_points.shape == (2, 2, 3) and curve_points[1, 0].tolist() == [0, 0, 7]
     assert refused(lambda: read_usd_curve(opened(tmp_path, mesh()))).code == "no-such-prim"
     two = (
         'def Xform "s" {\n'
@@ -248,11 +254,15 @@ def Xform "spots" {
   def Xform "right" {}
 }
 """
-    found = read_usd_points(opened(tmp_path, body, "/p"))
-    assert found.names == ("apple", "donut") and np.allclose(found.radius, [20, 30]) and found.values["load"].tolist() == [3, 5]
-    assert found.places.tolist() == [[[10, 0, 0], [0, 20, 0]]]
+    usd_points = read_usd_points(opened(tmp_path, body, "/p"))
+    assert (
+        usd_points.names == ("apple", "donut")
+        and np.allclose(usd_points.radius, [20, 30])
+        and usd_points.values["load"].tolist() == [3, 5]
+    )
+    assert usd_points.positions.tolist() == [[[10, 0, 0], [0, 20, 0]]]
     spots = read_usd_points(opened(tmp_path, body, "/spots"))
-    assert spots.names == ("left", "right") and spots.places[0, 0].tolist() == [10, 10, 10]
+    assert spots.names == ("left", "right") and spots.positions[0, 0].tolist() == [10, 10, 10]
     assert spots.values["load"][0] == 9 and np.isnan(spots.values["load"][1]) and np.isnan(spots.radius).all()
     assert refused(lambda: read_usd_points(opened(tmp_path, body, "/spots/left"))).code == "no-such-prim"
 
@@ -265,17 +275,17 @@ def test_cameras(tmp_path: Path) -> None:
   double xformOp:rotateX = -90
   uniform token[] xformOpOrder = ["xformOp:rotateX"]
 }"""
-    found = read_usd_camera(opened(tmp_path, body, "/c", frames=range(1, 3)))
-    assert found.focal.tolist() == [72, 144], "for a sensor 36 mm wide"
-    assert np.allclose(found.look_at - found.at, [0, -30, 0]) and np.allclose(found.up, [0, 0, -1])
+    camera = read_usd_camera(opened(tmp_path, body, "/c", frames=range(1, 3)))
+    assert camera.focal.tolist() == [72, 144], "for a sensor 36 mm wide"
+    assert np.allclose(camera.look_at - camera.at, [0, -30, 0]) and np.allclose(camera.up, [0, 0, -1])
     assert refused(lambda: read_usd_camera(opened(tmp_path, mesh()))).code == "no-such-prim"
 
 
 # --- which prim, which files ---------------------------------------------------------------------------------------------
 
 
-def test_a_prim_that_is_not_there_is_told_with_what_is(tmp_path: Path) -> None:
-    body = 'def Xform "set" {\n' + mesh("stones") + mesh("off", about="(active = false)") + "}"
+def test_a_missing_prim_is_reported_with_those_present(tmp_path: Path) -> None:
+    body = 'def Xform "set" {\n' + mesh("stones") + mesh("off", metadata="(active = false)") + "}"
     near = refused(lambda: opened(tmp_path, body, "/set/stonse"))
     assert near.code == "no-such-prim" and near.help == "did you mean `/set/stones`?"
     assert refused(lambda: opened(tmp_path, body, "/sat/stones")).help == "did you mean `/set`?"
@@ -306,8 +316,8 @@ def test_a_file_is_made_of_files_below_the_granted_roots_only(tmp_path: Path, pa
     (inside / "x.abc").write_text("x")
     (inside / "torn.usda").write_text("#usda 1.0\ndef {")
     os.mkfifo(inside / "pipe.usda")
-    found = refused(lambda: opened(inside, linked(path)))
-    assert found.code == code and found.key == "usd", str(found)
+    error = refused(lambda: opened(inside, linked(path)))
+    assert error.code == code and error.key == "usd", str(error)
     assert refused(lambda: opened(inside, linked(path).replace("references", "payload"))).code == code
     assert refused(lambda: opened(inside, mesh(), head=f"subLayers = [@{path}@]")).code == code
 
@@ -319,12 +329,12 @@ def test_files_within_other_granted_roots_are_read_and_hashed(tmp_path: Path) ->
     (tmp_path / "lib" / "parts" / "b.usda").write_text(usda(mesh(), head))
     (tmp_path / "lib" / "a.usda").write_text(usda(linked("./parts/b.usda"), head))
     (tmp_path / "scene" / "a.usda").write_text(usda(linked("../lib/a.usda"), head))
-    given = {"up": "y", "frames": range(1, 2), "fps": Fraction(24)}
-    stage = open_stage(Roots(tmp_path / "scene", {"lib": tmp_path / "lib"}), "a.usda", "/m", **given)
+    options = {"up": "y", "frames": range(1, 2), "fps": Fraction(24)}
+    stage = open_stage(Roots(tmp_path / "scene", {"lib": tmp_path / "lib"}), "a.usda", "/m", **options)
     assert len(read_usd_mesh(stage).raw.faces) == 2
     assert sorted(stage.hashes) == ["a.usda", "lib:a.usda", "lib:parts/b.usda"]
     with pytest.raises(UsdError, match="lies outside the scene's folder"):
-        open_stage(Roots(tmp_path / "scene", {}), "a.usda", "/m", **given)
+        open_stage(Roots(tmp_path / "scene", {}), "a.usda", "/m", **options)
 
 
 def test_value_clips_are_refused_and_packages_read(tmp_path: Path) -> None:
@@ -339,7 +349,7 @@ def test_value_clips_are_refused_and_packages_read(tmp_path: Path) -> None:
     assert len(read_usd_mesh(stage).raw.faces) == 2 and list(stage.hashes) == ["set.usdz"]
 
 
-def test_a_file_that_changed_is_read_anew(tmp_path: Path) -> None:
+def test_a_file_that_changed_is_read_again(tmp_path: Path) -> None:
     assert len(read_usd_mesh(opened(tmp_path, mesh())).raw.faces) == 2
     one = mesh().replace("[4]", "[3]").replace("[0, 1, 2, 3]", "[0, 1, 2]")
     assert len(read_usd_mesh(opened(tmp_path, one)).raw.faces) == 1
@@ -359,12 +369,12 @@ def both(tmp_path_factory: pytest.TempPathFactory) -> tuple[Shot, Shot]:
     """The set through USD and as it was baked by hand."""
     folder = tmp_path_factory.mktemp("set")
     path = usd_sets.write_usd(folder / "assets", folder / "usd")
-    found = []
+    shots = []
     for file, choices in ((path, Choices({"assets": folder / "assets"})), (usd_sets.bake(folder / "baked"), Choices())):
         shot, report = open_scene(file, choices)
         assert shot is not None and not report.diagnostics, report.diagnostics
-        found.append(shot)
-    return found[0], found[1]
+        shots.append(shot)
+    return shots[0], shots[1]
 
 
 def test_the_set_is_what_was_baked_by_hand(both: tuple[Shot, Shot]) -> None:
@@ -399,14 +409,14 @@ def test_both_run_alike_and_no_agent_is_ever_inside_a_stone(both: tuple[Shot, Sh
     pushed = np.inf
     for one, two in zip(simulate(both[0]), simulate(both[1]), strict=True):
         walkers = [world.populations["walker"] for world in (one, two)]
-        places = [p.position[p.in_id_order()] for p in walkers]
-        worst = max(worst, float((np.abs(places[0] - places[1]).max(axis=1) / 5.0).max()))
+        position_sets = [p.position[p.in_id_order()] for p in walkers]
+        worst = max(worst, float((np.abs(position_sets[0] - position_sets[1]).max(axis=1) / 5.0).max()))
         stones = both[0].setting.obstacles["stones"]
-        assert np.abs(winding(places[0], stones.vertices, stones.faces)).max() < 0.5
+        assert np.abs(winding(position_sets[0], stones.vertices, stones.faces)).max() < 0.5
         rest = both[0].setting.obstacles["roller"]
         at = both[0].setting.moves.meshes["roller"].vertices(rest.vertices, one.frame - 1)
-        assert np.abs(winding(places[0], at, rest.faces)).max() < 0.5, one.frame
-        pushed = min(pushed, float(np.linalg.norm(places[0] - at.mean(axis=0), axis=1).min()))
+        assert np.abs(winding(position_sets[0], at, rest.faces)).max() < 0.5, one.frame
+        pushed = min(pushed, float(np.linalg.norm(position_sets[0] - at.mean(axis=0), axis=1).min()))
         states = [p.now["main.state"][p.in_id_order()] for p in walkers]
         assert np.array_equal(*states)
     assert worst < 1e-5, worst
@@ -415,32 +425,32 @@ def test_both_run_alike_and_no_agent_is_ever_inside_a_stone(both: tuple[Shot, Sh
 
 def test_winding_numbers_tell_inside_from_outside() -> None:
     points, faces = usd_sets.stone()
-    given = np.array([[0.0, 0, 0], [5.0, 0, 0]])
-    assert np.allclose(winding(given, points.astype(np.float64), faces), [1, 0], atol=1e-6)
+    query_points = np.array([[0.0, 0, 0], [5.0, 0, 0]])
+    assert np.allclose(winding(query_points, points.astype(np.float64), faces), [1, 0], atol=1e-6)
 
 
-def test_mistakes_are_told_at_their_place(tmp_path: Path) -> None:
+def test_mistakes_are_reported_at_their_place(tmp_path: Path) -> None:
     usd_sets.write_usd(tmp_path / "assets", tmp_path)
     grants = {"assets": tmp_path / "assets"}
 
-    def told(old: str, new: str) -> tuple[str, str]:
+    def find_error(old: str, new: str) -> tuple[str, str]:
         shot, report = scene(tmp_path, usd_sets.FROM_USD.replace(old, new), grants=grants)
         assert shot is None and len(report.errors) == 1, report.errors
         error = report.errors[0]
         assert error.span is not None
         return error.code, error.span.text
 
-    assert told("/set/stones}", "/set/stnes}") == ("no-such-prim", "/set/stnes")
-    assert told("/set/way}", "/set/stones}") == ("no-such-prim", "/set/stones")
-    assert told("/shot/camera}", "/set/food}") == ("no-such-prim", "/set/food")
-    assert told("prim: /set/stones}", "prim: /set/stones, units: cm}") == ("unknown-key", "units")
-    assert told("each: {load: 5}", "each: {lod: 5}") == ("unknown-thing", "lod")
-    assert told("prim: /set/stones}", "prim: /set/stones, each: {load: 1}}")[0] == "wrong-kind"
-    assert told("assets:set/set.usda, prim: /set/stones", "assets:set/sat.usda, prim: /set/stones") == (
+    assert find_error("/set/stones}", "/set/stnes}") == ("no-such-prim", "/set/stnes")
+    assert find_error("/set/way}", "/set/stones}") == ("no-such-prim", "/set/stones")
+    assert find_error("/shot/camera}", "/set/food}") == ("no-such-prim", "/set/food")
+    assert find_error("prim: /set/stones}", "prim: /set/stones, units: cm}") == ("unknown-key", "units")
+    assert find_error("each: {load: 5}", "each: {lod: 5}") == ("unknown-thing", "lod")
+    assert find_error("prim: /set/stones}", "prim: /set/stones, each: {load: 1}}")[0] == "wrong-kind"
+    assert find_error("assets:set/set.usda, prim: /set/stones", "assets:set/sat.usda, prim: /set/stones") == (
         "no-such-file",
         "assets:set/sat.usda",
     )
-    assert told("place: {on: ground}", "place: {on: ground, around: nobody, radius: 5 mm}") == ("unknown-thing", "nobody")
+    assert find_error("place: {on: ground}", "place: {on: ground, around: nobody, radius: 5 mm}") == ("unknown-thing", "nobody")
     shot, report = scene(
         tmp_path,
         usd_sets.FROM_USD.replace("place: {on: ground}", "place: {on: ground, around: food_1, radius: 5 mm}"),
@@ -451,7 +461,7 @@ def test_mistakes_are_told_at_their_place(tmp_path: Path) -> None:
     assert {d.code for d in report.errors} == {"root-not-granted"}
 
 
-LED = """ant 1
+HOMING_PROGRAM = """ant 1
 use steering
 world { surface ground; flow home; items food }
 species walker {
@@ -476,7 +486,7 @@ SPOTS = """def Xform "food" {
 @pytest.mark.parametrize("key", ["solved", "toward"])
 def test_flows_lead_to_items_of_a_file(tmp_path: Path, key: str, goal: str, which: int | None, places: list[list[float]]) -> None:
     (tmp_path / "set.usda").write_text(usda(SPOTS + mesh(), MM))
-    (tmp_path / "walker.ant").write_text(LED)
+    (tmp_path / "walker.ant").write_text(HOMING_PROGRAM)
     path = tmp_path / "scene.yaml"
     path.write_text(
         "antdsl: 1\nworld:\n  ground: {usd: set.usda, prim: /m}\n  food: {usd: set.usda, prim: /food}\n"
@@ -487,7 +497,7 @@ def test_flows_lead_to_items_of_a_file(tmp_path: Path, key: str, goal: str, whic
         assert shot is not None, report.errors
         flow = shot.setting.flows["home"]
         assert isinstance(flow, SolvedFlow | SpreadFlow)
-        assert (flow.target.of, flow.target.which, flow.target.places.tolist()) == ("food", which, places)
+        assert (flow.target.of, flow.target.which, flow.target.positions.tolist()) == ("food", which, places)
     else:
         [error] = report.errors
         assert error.code == "unknown-thing" and error.span is not None and error.span.text == goal
@@ -537,15 +547,15 @@ species walker {
 
 def test_paint_comes_out_of_the_file_of_its_surface(tmp_path: Path) -> None:
     """Painted in a z-up file along its y, on ground that the scene turns about its up and carries off."""
-    more = 'float[] primvars:damp = [0, 1, 1, 0] ( interpolation = "vertex" )\n'
-    more += 'vector3f[] primvars:comb = [(0,2,0), (0,1,0), (0,1,0), (0,1,0)] ( interpolation = "vertex" )'
+    primvars = 'float[] primvars:damp = [0, 1, 1, 0] ( interpolation = "vertex" )\n'
+    primvars += 'vector3f[] primvars:comb = [(0,2,0), (0,1,0), (0,1,0), (0,1,0)] ( interpolation = "vertex" )'
     head = 'metersPerUnit = 0.1\nupAxis = "Z"'
-    (tmp_path / "g.usda").write_text(usda(mesh(more=more), head))
+    (tmp_path / "g.usda").write_text(usda(mesh(properties=primvars), head))
     (tmp_path / "w.ant").write_text(PAINTED)
     text = "antdsl: 1\nframes: 1..5\nworld:\n  ground: {usd: g.usda, prim: /m, KEYS}\n"
     text += "  comb: {painted: g.usda, on: ground}\n  damp: {painted: g.usda, attribute: damp}\n"
     text += "crowd: [{species: walker, from: w.ant, count: 30, place: {on: ground}}]\n"
-    for keys, way in (
+    for keys, direction in (
         ("rotate: [0, 90, 0]", (-1, 0, 0)),
         ("keys: {1: {rotate: [0, 0, 0]}, 5: {at: [0, 0, 50], rotate: [0, 90, 0]}}", (0, 0, -1)),
     ):
@@ -553,7 +563,7 @@ def test_paint_comes_out_of_the_file_of_its_surface(tmp_path: Path) -> None:
         shot, report = open_scene(tmp_path / "scene.yaml")
         assert shot is not None and not report.errors, report.errors
         painted = shot.setting.flows["comb"].values  # type: ignore[union-attr]
-        assert np.allclose(painted, [way] * 4, atol=1e-12), "along the file's y, and no longer than 1"
+        assert np.allclose(painted, [direction] * 4, atol=1e-12), "along the file's y, and no longer than 1"
         for world in simulate(shot):
             walkers = world.populations["walker"]
         turned = np.array([(-1.0, 0, 0)])  # in both the ground has turned by a quarter at the end

@@ -110,8 +110,8 @@ def opened(
     return open_scene(folder / "scene.yaml", Choices())
 
 
-def items(folder: Path, *scene: str, **more: str) -> dict[str, dict[str, tuple[np.ndarray, dict[str, float]]]]:
-    shot, report = opened(folder, *scene, **more)
+def items(folder: Path, *scene: str, **options: str) -> dict[str, dict[str, tuple[np.ndarray, dict[str, float]]]]:
+    shot, report = opened(folder, *scene, **options)
     assert shot is not None and not report.errors, report.errors
     return {
         name: {item.name: (np.array(item.position), dict(item.attributes)) for item in them}
@@ -122,31 +122,31 @@ def items(folder: Path, *scene: str, **more: str) -> dict[str, dict[str, tuple[n
 def test_empties_of_a_kind_are_found_anywhere_with_their_properties(tmp_path: Path) -> None:
     lures = items(tmp_path)["lures"]
     assert list(lures) == ["crumb", "below"]
-    place, given = lures["crumb"]
+    place, properties = lures["crumb"]
     assert place.tolist() == [100, 200, 0]
-    assert given == {"reach": 120, "since": 0.5, "strength": 3}, "numbers in the file's unit, words with theirs"
-    place, given = lures["below"]
-    assert place.tolist() == [100, 200, 50] and given == {"reach": 70}
+    assert properties == {"reach": 120, "since": 0.5, "strength": 3}, "numbers in the file's unit, words with theirs"
+    place, properties = lures["below"]
+    assert place.tolist() == [100, 200, 50] and properties == {"reach": 70}
 
 
 def test_ways_that_empties_face_are_those_of_local_to_world(tmp_path: Path) -> None:
     aligners = items(tmp_path)["aligners"]
-    place, given = aligners["one"]
+    place, properties = aligners["one"]
     assert np.allclose(place, [0, 10, 0], atol=1e-6), "its parent is turned by a quarter"
-    assert given["facing"] == pytest.approx(np.radians(120)) and given["pace"] == pytest.approx(50)
+    assert properties["facing"] == pytest.approx(np.radians(120)) and properties["pace"] == pytest.approx(50)
     assert "facing" not in aligners["steep"][1], "straight up is no angle"
     assert aligners["told"][1]["facing"] == pytest.approx(np.radians(-45)), "a property of that name goes before"
 
 
 def test_the_scenes_axes_and_its_own_turn_come_after(tmp_path: Path) -> None:
     aligners = items(tmp_path, up="y")["aligners"]
-    place, given = aligners["one"]
-    assert np.allclose(place, [0, 0, -10], atol=1e-6) and given["facing"] == pytest.approx(np.radians(120))
+    place, properties = aligners["one"]
+    assert np.allclose(place, [0, 0, -10], atol=1e-6) and properties["facing"] == pytest.approx(np.radians(120))
     turned = items(tmp_path, LURES, "{usd: set.usda, prim: /root/arrows, turn: facing, rotate: [0, 0, -100]}")["aligners"]["one"]
     assert turned[1]["facing"] == pytest.approx(np.radians(20))
     axes = items(tmp_path, LURES, "{usd: set.usda, prim: /root/arrows, turn: [ax, ay, az]}")["aligners"]
-    found = [axes["one"][1][key] for key in ("ax", "ay", "az")]
-    assert found == pytest.approx([np.cos(np.radians(120)), np.sin(np.radians(120)), 0], abs=1e-6)
+    facing = [axes["one"][1][key] for key in ("ax", "ay", "az")]
+    assert facing == pytest.approx([np.cos(np.radians(120)), np.sin(np.radians(120)), 0], abs=1e-6)
     assert [axes["steep"][1][key] for key in ("ax", "ay", "az")] == pytest.approx([0, 0, 1], abs=1e-6)
 
 
@@ -156,12 +156,12 @@ def test_what_moves_in_the_file_moves_and_agents_read_the_properties(tmp_path: P
     track = shot.setting.moves.items["lures"]
     assert track[:, 0].tolist() == [[100, 200, 0]] * 10 and track[-1, 1].tolist() == [190, 200, 50]
     crowd = next(iter(simulate(shot, Options(backend="numpy")))).populations["roach"]
-    way = np.array([crowd.now[f"velocity.{axis}"] for axis in "xyz"]).mean(axis=1)
+    mean_velocity = np.array([crowd.now[f"velocity.{axis}"] for axis in "xyz"]).mean(axis=1)
     paces, angles = np.array([50, 60, 60]), np.radians([120, 0, -45])
-    assert way == pytest.approx([paces @ np.cos(angles), paces @ np.sin(angles), 0], abs=0.01), "aligners say where to"
+    assert mean_velocity == pytest.approx([paces @ np.cos(angles), paces @ np.sin(angles), 0], abs=0.01), "aligners say where to"
 
 
-def told(report: Report) -> list[tuple[str, str, str]]:
+def summarise_report(report: Report) -> list[tuple[str, str, str]]:
     return [(d.code, "" if d.span is None else d.span.text, f"{d.message}; {d.help}") for d in report.diagnostics]
 
 
@@ -188,12 +188,14 @@ def told(report: Report) -> list[tuple[str, str, str]]:
         (LURES, "{usd: set.usda, prim: /root/arrows, turn: [ax, ay, pace]}", "", "", "wrong-unit", "pace", "`pace = 0`"),
     ],
 )
-def test_mistakes_are_told(tmp_path: Path, lures: str, aligners: str, old: str, new: str, code: str, at: str, words: str) -> None:
+def test_mistakes_are_reported(
+    tmp_path: Path, lures: str, aligners: str, old: str, new: str, code: str, at: str, words: str
+) -> None:
     _, report = opened(tmp_path, lures, aligners, text=SET.replace(old, new) if old else SET)
-    found = [each for each in told(report) if each[0] == code]
-    assert len(found) == 1, told(report)
-    assert found[0][1] == at or not at
-    assert words in found[0][2]
+    matches = [each for each in summarise_report(report) if each[0] == code]
+    assert len(matches) == 1, summarise_report(report)
+    assert matches[0][1] == at or not at
+    assert words in matches[0][2]
 
 
 def test_a_surface_has_no_kind_and_a_file_may_be_a_surface_whole(tmp_path: Path) -> None:
@@ -203,7 +205,7 @@ def test_a_surface_has_no_kind_and_a_file_may_be_a_surface_whole(tmp_path: Path)
     text = (tmp_path / "scene.yaml").read_text()
     (tmp_path / "scene.yaml").write_text(text.replace("{mesh: floor.obj}", "{usd: set.usda, kind: floor}"))
     _, report = open_scene(tmp_path / "scene.yaml", Choices())
-    assert [each[:2] for each in told(report)] == [("wrong-kind", "kind")]
+    assert [each[:2] for each in summarise_report(report)] == [("wrong-kind", "kind")]
     (tmp_path / "scene.yaml").write_text(text.replace("{mesh: floor.obj}", "{usd: set.usda}"))
     shot, report = open_scene(tmp_path / "scene.yaml", Choices())
     assert shot is not None and np.abs(shot.setting.surfaces["floor"].vertices).max() == 900, report.errors
@@ -230,11 +232,11 @@ def test_without_usd_core_the_extra_is_named(tmp_path: Path, monkeypatch: pytest
 
 
 def test_agents_begin_at_empties(tmp_path: Path) -> None:
-    places = [(-40, 10), (0, 20), (55, -5)]
+    coordinates = [(-40, 10), (0, 20), (55, -5)]
     boids = "".join(
         f'def Xform "boid{k}" {{\n custom string userProperties:kind = "roach"\n double3 xformOp:translate = ({x}, {y}, 3)\n'
         f' uniform token[] xformOpOrder = ["xformOp:translate"]\n}}\n'
-        for k, (x, y) in enumerate(places)
+        for k, (x, y) in enumerate(coordinates)
     )
     opened(tmp_path, text=SET + boids)
     text = (tmp_path / "scene.yaml").read_text().replace("count: 5, place: {on: floor, radius: 200 mm}", "count: 3, place: PLACE")
@@ -243,14 +245,14 @@ def test_agents_begin_at_empties(tmp_path: Path) -> None:
         shot, report = open_scene(tmp_path / "scene.yaml", Choices())
         assert shot is not None, report.errors
         points = shot.setting.crowds[0].place.points
-        assert points is not None and points.tolist() == [[10 * x, 10 * y, 30] for x, y in places]
+        assert points is not None and points.tolist() == [[10 * x, 10 * y, 30] for x, y in coordinates]
     crowd = next(iter(simulate(shot, Options(backend="numpy")))).populations["roach"]
     born = np.array([crowd.now[f"position.{axis}"] for axis in "xyz"]).T[np.argsort(crowd.ids)]
-    assert np.abs(born - [[10 * x, 10 * y, 0] for x, y in places]).max() < 12, "a step of 200 mm/s from there, on the floor"
+    assert np.abs(born - [[10 * x, 10 * y, 0] for x, y in coordinates]).max() < 12, "a step of 200 mm/s from there, on the floor"
     for place, at in (("{points: {usd: set.usda, kind: bed}}", "bed"), ("{points: {usd: none.usda}}", "none.usda")):
         (tmp_path / "scene.yaml").write_text(text.replace("PLACE", place))
         _, report = open_scene(tmp_path / "scene.yaml", Choices())
-        assert [each[1] for each in told(report)] == [at], told(report)
+        assert [each[1] for each in summarise_report(report)] == [at], summarise_report(report)
 
 
 BOIDS = """ant 1
@@ -275,7 +277,7 @@ species roach {
 
 def boids(folder: Path, floor: str = "-900 -900 0", extra: str = "") -> tuple[Shot, Report]:
     """Three empties: one turned by 30 degrees and pitched, with properties; one that points straight up; one with fewer."""
-    told = [
+    empties = [
         ("a", (-40, 10, 3), (0, -20, 30), 'custom double userProperties:size = 5\n custom string userProperties:nerve = "0.75"'),
         ("b", (0, 20, 3), (0, -90, 0), "custom bool userProperties:calm = true\n custom double userProperties:reach = 9"),
         ("c", (55, -5, 3), (0, 0, -90), ""),
@@ -284,7 +286,7 @@ def boids(folder: Path, floor: str = "-900 -900 0", extra: str = "") -> tuple[Sh
         f'def Xform "{name}" {{\n custom string userProperties:kind = "roach"\n {own}\n {extra if name == "a" else ""}\n'
         f" double3 xformOp:translate = {at}\n float3 xformOp:rotateXYZ = {turn}\n"
         f' uniform token[] xformOpOrder = ["xformOp:translate", "xformOp:rotateXYZ"]\n}}\n'
-        for name, at, turn, own in told
+        for name, at, turn, own in empties
     )
     opened(folder, text=SET + text)
     (folder / "roach.ant").write_text(BOIDS)
@@ -322,8 +324,10 @@ def test_headings_lie_along_a_slope(tmp_path: Path) -> None:
     crowd = bind(shot.plan, shot.setting).populations["roach"]
     up, heading = of_all(crowd, "up.x", "up.y", "up.z"), of_all(crowd, *AHEAD)
     assert np.abs(np.einsum("ij,ij->i", up, heading)).max() < 1e-6 and np.abs(heading[0, 2]) > 0.05
-    wanted = np.array([np.cos(np.radians(30)) * np.cos(np.radians(20)), 0.5 * np.cos(np.radians(20)), np.sin(np.radians(20))])
-    flat = wanted - (wanted @ up[0]) * up[0]
+    empty_direction = np.array(
+        [np.cos(np.radians(30)) * np.cos(np.radians(20)), 0.5 * np.cos(np.radians(20)), np.sin(np.radians(20))]
+    )
+    flat = empty_direction - (empty_direction @ up[0]) * up[0]
     assert heading[0] == pytest.approx(flat / np.linalg.norm(flat), abs=1e-5), "the empty's own +x, laid along the ground"
 
 
@@ -344,13 +348,13 @@ def test_what_empties_give_stays_through_an_edit_and_follows_the_file(tmp_path: 
     (tmp_path / "roach.ant").write_text(BOIDS.replace("size  30 mm", "size  36 mm\n  more = nerve"))
     edited, _ = open_scene(tmp_path / "scene.yaml", Choices())
     assert edited is not None
-    after, _ = take_over(world, edited.plan, edited.setting)
-    assert of_all(after.populations["roach"], "size", "more").tolist() == [[50, 0.75], [36, 0.25], [36, 0.25], [50, 0.75]]
+    edited_world, _ = take_over(world, edited.plan, edited.setting)
+    assert of_all(edited_world.populations["roach"], "size", "more").tolist() == [[50, 0.75], [36, 0.25], [36, 0.25], [50, 0.75]]
     text = (tmp_path / "set.usda").read_text()
     (tmp_path / "set.usda").write_text(text.replace("userProperties:size = 5", "userProperties:size = 6"))
     again, _ = open_scene(tmp_path / "scene.yaml", Choices())
     assert again is not None
-    last, _ = take_over(after, again.plan, again.setting)
+    last, _ = take_over(edited_world, again.plan, again.setting)
     assert of_all(last.populations["roach"], "size").ravel().tolist() == [60, 36, 36, 60]
 
 

@@ -23,11 +23,11 @@ print(json.dumps([sys.path, dict(os.environ)]))
 """
 
 
-def isolated(cwd: Path, *flags: str, **more: str) -> tuple[list[str], dict[str, str]]:
+def isolated(cwd: Path, *flags: str, **variables: str) -> tuple[list[str], dict[str, str]]:
     """The search path and the environment of a new Python that has isolated itself."""
     env = {name: value for name, value in os.environ.items() if name not in ("PYTHONPATH", "PYTHONSAFEPATH")}
-    done = subprocess.run([sys.executable, *flags, "-c", SHOW], cwd=cwd, env=env | more, capture_output=True, check=True)
-    path, environment = json.loads(done.stdout)
+    process = subprocess.run([sys.executable, *flags, "-c", SHOW], cwd=cwd, env=env | variables, capture_output=True, check=True)
+    path, environment = json.loads(process.stdout)
     return path, environment
 
 
@@ -59,8 +59,8 @@ def test_a_module_of_ours_starts_without_the_working_directory(tmp_path: Path) -
     for name in ("json", "antdsl", "typing", "runpy", "__future__"):
         (tmp_path / f"{name}.py").write_text(TRAP, encoding="utf-8")
     command = child_processes.module_command("antdsl.bench", "{}")
-    done = subprocess.run(command, cwd=tmp_path, env=child_processes.module_environment(), capture_output=True, text=True)
-    assert "KeyError" in done.stderr or "TypeError" in done.stderr  # the job is none
+    process = subprocess.run(command, cwd=tmp_path, env=child_processes.module_environment(), capture_output=True, text=True)
+    assert "KeyError" in process.stderr or "TypeError" in process.stderr  # the job is none
     assert not (tmp_path / "TRAPPED").exists()
 
 
@@ -76,12 +76,12 @@ def test_children_of_the_command_have_a_safe_path(flags: tuple[str, ...], tmp_pa
     )
     program = tmp_path / "started.py"
     program.write_text(code, encoding="utf-8")
-    done = subprocess.run([sys.executable, *flags, str(program)], cwd=tmp_path, capture_output=True, text=True, check=True)
-    assert done.stdout.startswith("True ") and str(tmp_path) not in done.stdout
+    process = subprocess.run([sys.executable, *flags, str(program)], cwd=tmp_path, capture_output=True, text=True, check=True)
+    assert process.stdout.startswith("True ") and str(tmp_path) not in process.stdout
 
 
 def test_the_package_imports_nothing_before_the_path_is_safe() -> None:
     """With `-m` the working directory is searched first until `__main__` has removed it."""
     code = "import sys; before = set(sys.modules); import antdsl; print(*sorted(set(sys.modules) - before))"
-    done = subprocess.run([sys.executable, "-I", "-c", code], capture_output=True, text=True, check=True)
-    assert done.stdout.split() == ["antdsl"]
+    process = subprocess.run([sys.executable, "-I", "-c", code], capture_output=True, text=True, check=True)
+    assert process.stdout.split() == ["antdsl"]

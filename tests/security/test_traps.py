@@ -140,26 +140,26 @@ def cache_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder / "cache"
 
 
-def environment(project: TrappedProject, **more: str) -> dict[str, str]:
+def environment(project: TrappedProject, **variables: str) -> dict[str, str]:
     left_out = ("PYTHONPATH", "PYTHONSAFEPATH", "PYTHONNOUSERSITE", "DASK_CONFIG", "MPLCONFIGDIR", "XDG_CACHE_HOME", "DISPLAY")
-    kept = {name: value for name, value in os.environ.items() if name not in left_out}
-    return kept | {"HOME": str(project.home), "TMPDIR": str(project.temporary)} | more
+    inherited = {name: value for name, value in os.environ.items() if name not in left_out}
+    return inherited | {"HOME": str(project.home), "TMPDIR": str(project.temporary)} | variables
 
 
 @cache
 def modules_of_python() -> frozenset[str]:
     """What Python imports before the first line of a package that `-m` starts: nothing keeps that from the working directory."""
     code = "import runpy, sys; print(*{name.partition('.')[0] for name in sys.modules})"
-    done = subprocess.run([str(PYTHON), "-P", "-c", code], capture_output=True, text=True, check=True)
-    return frozenset(done.stdout.split())
+    process = subprocess.run([str(PYTHON), "-P", "-c", code], capture_output=True, text=True, check=True)
+    return frozenset(process.stdout.split())
 
 
 @cache
 def installed_package() -> Path:
     """The folder of the package under test, which lies outside the environment where that was installed to be edited."""
     code = "import importlib.util; print(importlib.util.find_spec('antdsl').origin)"
-    done = subprocess.run([str(PYTHON), "-P", "-c", code], capture_output=True, text=True, check=True)
-    return Path(done.stdout.strip()).parent
+    process = subprocess.run([str(PYTHON), "-P", "-c", code], capture_output=True, text=True, check=True)
+    return Path(process.stdout.strip()).parent
 
 
 def trapped_project(place: Path, cache_folder: Path | None, how: str = "script") -> TrappedProject:
@@ -173,18 +173,18 @@ def start(case: Case, project: TrappedProject, how: str, env: dict[str, str]) ->
 
 def complaints(case: Case, project: TrappedProject, trace: Trace, settings: tuple[str, ...] = ()) -> list[str]:
     """What the command did that it may not do. `settings`: files of the project that libraries may read."""
-    found = [f"executed: {name}" for name in project.executed]
-    found += [f"written where a link leads: {path}" for path in project.led_out]
-    found += [f"program: {path}" for path in dict.fromkeys(trace.programs) if not is_known_program(path, project)]
-    found += [f"socket: {text}" for text in trace.sockets if not is_expected_socket(text, case)]
+    texts = [f"executed: {name}" for name in project.executed]
+    texts += [f"written where a link leads: {path}" for path in project.led_out]
+    texts += [f"program: {path}" for path in dict.fromkeys(trace.programs) if not is_known_program(path, project)]
+    texts += [f"socket: {text}" for text in trace.sockets if not is_expected_socket(text, case)]
     for opened in trace.opened:
         inside = below(opened.name, project.folder) or below(opened.file or "/", project.folder)
         if inside is not None and not opened.folder and not matches(inside, (*TRIAL, *case.reads, *case.writes, *settings)):
-            found.append(f"opened: {inside}")
+            texts.append(f"opened: {inside}")
         if opened.writes and opened.file is not None:
-            found += [f"written: {opened.file}"] if not may_change(opened.file, case, project) else []
-    found += [f"changed: {path}" for path in trace.changed if not may_change(path, case, project)]
-    return list(dict.fromkeys(found))
+            texts += [f"written: {opened.file}"] if not may_change(opened.file, case, project) else []
+    texts += [f"changed: {path}" for path in trace.changed if not may_change(path, case, project)]
+    return list(dict.fromkeys(texts))
 
 
 def below(path: str, folder: Path) -> str | None:
@@ -232,10 +232,10 @@ def may_change(path: str, case: Case, project: TrappedProject) -> bool:
     return stored or path.startswith(SYSTEM) or any(below(path, folder) is not None for folder in folders)
 
 
-def hold(case: Case, project: TrappedProject, how: str = "script", **more: str) -> None:
-    trace = start(case, project, how, environment(project, **more))
+def hold(case: Case, project: TrappedProject, how: str = "script", **variables: str) -> None:
+    trace = start(case, project, how, environment(project, **variables))
     # A home folder's configuration is the user's own. It may be read, but no module that it names is imported.
-    assert not complaints(case, project, trace, (".config/*",) if "HOME" in more else ()), trace.output
+    assert not complaints(case, project, trace, (".config/*",) if "HOME" in variables else ()), trace.output
     assert trace.code in case.codes, trace.output
 
 

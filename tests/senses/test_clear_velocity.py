@@ -27,8 +27,8 @@ FASTEST, DT = 20.0, 1 / 24
 def others(draw: np.random.Generator, agents: int, count: int, near: float) -> Others:
     x, y = near * draw.normal(size=(2, agents, count))
     vx, vy = 15 * draw.normal(size=(2, agents, count))
-    room = draw.uniform(2, 6, (agents, count))
-    return Others(x, y, vx, vy, room, draw.random((agents, count)) < 0.9, np.ones((agents, count), np.bool_))
+    radius_sum = draw.uniform(2, 6, (agents, count))
+    return Others(x, y, vx, vy, radius_sum, draw.random((agents, count)) < 0.9, np.ones((agents, count), np.bool_))
 
 
 def case(seed: int, count: int, near: float) -> tuple[Others, tuple[np.ndarray, ...]]:
@@ -37,35 +37,35 @@ def case(seed: int, count: int, near: float) -> tuple[Others, tuple[np.ndarray, 
     return others(draw, n, count, near), (velocity, wish, np.full(n, FASTEST), np.full(n, 2.0))
 
 
-def border(x: np.ndarray, v: np.ndarray, room: float, seconds: float, first: bool) -> tuple[np.ndarray, np.ndarray]:
+def border(x: np.ndarray, v: np.ndarray, radius_sum: float, seconds: float, first: bool) -> tuple[np.ndarray, np.ndarray]:
     """The least change of a relative velocity to where nobody is met within some time, and the direction away from there.
 
     Velocities that meet are a cone from the circle at `x` / seconds on; candidates are the nearest points of circle and legs."""
     far, middle = float(np.hypot(*x)), x / seconds
     off = v - middle
     outward = off / np.hypot(*off) if np.hypot(*off) > 1e-30 else np.array([1.0 if first else -1.0, 0.0])
-    round_end = middle + outward * room / seconds
-    if far <= room:
+    round_end = middle + outward * radius_sum / seconds
+    if far <= radius_sum:
         return round_end - v, outward
-    found = []
-    if -(outward @ x) > room:  # on the arc that faces the start
-        found.append((round_end - v, outward))
-    leg = np.sqrt(far**2 - room**2)
+    candidates = []
+    if -(outward @ x) > radius_sum:  # on the arc that faces the start
+        candidates.append((round_end - v, outward))
+    leg = np.sqrt(far**2 - radius_sum**2)
     for side in (1.0, -1.0):
-        along = np.array([[leg, -side * room], [side * room, leg]]) @ x / far**2
+        along = np.array([[leg, -side * radius_sum], [side * radius_sum, leg]]) @ x / far**2
         if v @ along >= leg / seconds:
-            found.append((along * (v @ along) - v, side * np.array([-along[1], along[0]])))
-    return min(found, key=lambda each: float(np.hypot(*each[0])))
+            candidates.append((along * (v @ along) - v, side * np.array([-along[1], along[0]])))
+    return min(candidates, key=lambda each: float(np.hypot(*each[0])))
 
 
 def beyond(o: Others, velocity: np.ndarray, horizon: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
     """How far velocities [n,k] are beyond the worst border of each agent."""
     worst = np.full(x.shape, -np.inf)
     for a in range(len(x)):
-        for c in np.flatnonzero(o.there[a]):
+        for c in np.flatnonzero(o.is_present[a]):
             place, own = np.array([o.x[a, c], o.y[a, c]]), np.array([o.vx[a, c], o.vy[a, c]])
-            seconds = horizon[a] if np.hypot(*place) > o.room[a, c] else DT
-            change, normal = border(place, own, o.room[a, c], seconds, bool(o.first[a, c]))
+            seconds = horizon[a] if np.hypot(*place) > o.radius_sum[a, c] else DT
+            change, normal = border(place, own, o.radius_sum[a, c], seconds, bool(o.first[a, c]))
             px, py = velocity[:, a] + change / 2
             worst[a] = np.maximum(worst[a], (px - x[a]) * normal[0] + (py - y[a]) * normal[1])
     return worst
@@ -76,7 +76,7 @@ def test_no_velocity_of_a_fine_grid_that_is_allowed_is_nearer_to_the_wish(count:
     o, (velocity, wish, fastest, horizon) = case(count, count, near)
     if count:
         o.x[:9, 0] = o.y[:9, 0] = o.vx[:9, 0] = o.vy[:9, 0] = 0.0  # on one spot, as fast
-        o.first[:4], o.there[:9, 0] = False, True
+        o.first[:4], o.is_present[:9, 0] = False, True
     x, y = clear_velocities(o, (velocity[0], velocity[1]), (wish[0], wish[1]), fastest, horizon, DT)
     assert (np.hypot(x, y) <= FASTEST * (1 + 1e-9)).all()
     axis = np.linspace(-FASTEST, FASTEST, 81)
@@ -100,24 +100,24 @@ def test_no_velocity_of_a_fine_grid_that_is_allowed_is_nearer_to_the_wish(count:
 def test_a_change_by_half_each_just_misses_within_the_horizon() -> None:
     # Two discs of 4 mm together, 40 mm apart, head on but for 1 mm, 20 mm/s: section 4 of the paper.
     x, y, v = np.array([[40.0], [-40.0]]), np.array([[1.0], [-1.0]]), np.array([[40.0], [-40.0]])
-    zero, there = np.zeros((2, 1)), np.ones((2, 1), np.bool_)
-    o = Others(x, y, v, zero, np.full((2, 1), 4.0), there, there)
+    zero, is_present = np.zeros((2, 1)), np.ones((2, 1), np.bool_)
+    o = Others(x, y, v, zero, np.full((2, 1), 4.0), is_present, is_present)
     own = (np.array([20.0, -20.0]), np.zeros(2))
-    found = clear_velocities(o, own, own, np.full(2, 25.0), np.full(2, 3.0), DT)
-    relative = np.array([found[0][0] - found[0][1], found[1][0] - found[1][1]])
+    velocities = clear_velocities(o, own, own, np.full(2, 25.0), np.full(2, 3.0), DT)
+    relative = np.array([velocities[0][0] - velocities[0][1], velocities[1][0] - velocities[1][1]])
     place = np.array([40.0, 1.0])
     part = min(relative @ place / (relative @ relative), 3.0)
     assert np.linalg.norm(place - part * relative) == pytest.approx(4.0, abs=1e-9)
-    assert found[0][0] == -found[0][1] and found[1][0] == -found[1][1]
+    assert velocities[0][0] == -velocities[0][1] and velocities[1][0] == -velocities[1][1]
 
 
-def test_an_agent_that_may_not_move_or_that_is_no_number_harms_nobody() -> None:
+def test_an_agent_that_may_not_move_or_that_is_no_number_harms_no_other() -> None:
     o, (velocity, wish, fastest, horizon) = case(6, 6, 20.0)
-    wanted = clear_velocities(o, (velocity[0], velocity[1]), (wish[0], wish[1]), fastest, horizon, DT)
+    expected = clear_velocities(o, (velocity[0], velocity[1]), (wish[0], wish[1]), fastest, horizon, DT)
     o.vx[9:12, 0], fastest[5:8], horizon[20:22] = np.inf, 0.0, 1e-30
-    found = clear_velocities(o, (velocity[0], velocity[1]), (wish[0], wish[1]), fastest, horizon, DT, 3)
+    velocities = clear_velocities(o, (velocity[0], velocity[1]), (wish[0], wish[1]), fastest, horizon, DT, 3)
     alike = np.setdiff1d(np.arange(60), [5, 6, 7, 9, 10, 11, 20, 21])
-    for one, other in zip(wanted, found, strict=True):
+    for one, other in zip(expected, velocities, strict=True):
         assert np.array_equal(one[alike], other[alike]) and np.isfinite(other).all() and not other[5:8].any()
 
 
@@ -142,30 +142,34 @@ def test_the_nearest_of_all_species_on_their_side_are_those_to_keep_off(most: in
     plane = Plane.of(asking, rows, 1)
     own, within = tuple(draw.normal(size=(3, 50))), np.where(draw.random(50) < 0.9, 900.0, draw.choice([-1, 3000.0], 50))
     count = np.where(draw.random(50) < 0.2, draw.choice([0, -1, 2], 50), most).astype(float)
-    found = neighbourhood._others(world, asking, rows, within, count, own, plane)
+    columns = neighbourhood._others(world, asking, rows, within, count, own, plane)
     for a, row in enumerate(rows):
         near = []
         for number, (name, other) in enumerate(world.populations.items()):
             for b in range(len(other)):
                 at = [np.float32(each.start[f"position.{axis}"][k]) for each, k in ((other, b), (asking, row)) for axis in "xyz"]
-                way = np.float32(at[:3]) - np.float32(at[3:])
-                distance = np.sqrt((way[0] * way[0] + way[1] * way[1]) + way[2] * way[2])
+                displacement = np.float32(at[:3]) - np.float32(at[3:])
+                distance = np.sqrt(
+                    (displacement[0] * displacement[0] + displacement[1] * displacement[1]) + displacement[2] * displacement[2]
+                )
                 up, velocity = ([float(other.start[f"{name}.{axis}"][b]) for axis in "xyz"] for name in ("up", "velocity"))
                 side = sum(one * two for one, two in zip((plane.up[k][a] for k in range(3)), up, strict=True))
                 if distance <= np.float32(within[a]) and side > 0 and not (other is asking and b == row):
                     velocity = velocity if np.isfinite(velocity).all() else [0.0, 0.0, 0.0]
-                    near.append((distance, number, other.ids[b], name, other, b, way.astype(float), np.array(velocity)))
+                    near.append((distance, number, other.ids[b], name, other, b, displacement.astype(float), np.array(velocity)))
         near = sorted(near, key=lambda each: each[:3])[: max(int(count[a]), 0)]
-        assert found.there[a].sum() == len(near) and not found.there[a, len(near) :].any()
+        assert columns.is_present[a].sum() == len(near) and not columns.is_present[a, len(near) :].any()
         axes = [np.array([axis[k][a] for k in range(3)]) for axis in (plane.ahead, plane.left)]
-        for c, (_, _, name_id, name, other, b, way, velocity) in enumerate(near):
+        for c, (_, _, name_id, name, other, b, displacement, velocity) in enumerate(near):
             relative = np.array([own[k][a] for k in range(3)]) - velocity
-            wanted = [way @ axes[0], way @ axes[1], relative @ axes[0], relative @ axes[1]]
-            assert np.allclose([found.x[a, c], found.y[a, c], found.vx[a, c], found.vy[a, c]], wanted, rtol=1e-9, atol=1e-9)
+            expected = [displacement @ axes[0], displacement @ axes[1], relative @ axes[0], relative @ axes[1]]
+            assert np.allclose(
+                [columns.x[a, c], columns.y[a, c], columns.vx[a, c], columns.vy[a, c]], expected, rtol=1e-9, atol=1e-9
+            )
             radii = [float(each.start["radius"][k]) for each, k in ((asking, row), (other, b))]
-            assert np.isclose(found.room[a, c], sum(radius if 0 < radius < np.inf else 0.0 for radius in radii))
-            assert found.first[a, c] == (asking.ids[row] < name_id if other is asking else asking.name < name)
-    assert found.there.sum() > 30 * min(most, 5)
+            assert np.isclose(columns.radius_sum[a, c], sum(radius if 0 < radius < np.inf else 0.0 for radius in radii))
+            assert columns.first[a, c] == (asking.ids[row] < name_id if other is asking else asking.name < name)
+    assert columns.is_present.sum() > 30 * min(most, 5)
     assert not neighbourhood._others(world, asking, rows, within, count, None, plane).vx.any()
 
 
@@ -201,18 +205,18 @@ def test_all_backends_and_any_rows_give_the_same_bits() -> None:
 
 
 def test_twenty_who_cross_a_circle_come_to_the_other_side_and_do_not_run_into_each_other() -> None:
-    found = circle(20, 30)
-    assert found.seconds < 20 and found.nearest > 300 and found.stuck == 0  # of 400 mm: who turns away needs a moment to
+    outcome = circle(20, 30)
+    assert outcome.seconds < 20 and outcome.nearest > 300 and outcome.stuck == 0  # of 400 mm: who turns away needs a moment to
 
 
 def test_two_flows_head_on_in_a_corridor_pass_each_other() -> None:
-    found = corridor(40, 40, wide=4000, long=10_000)
-    assert found.seconds < 20 and found.nearest > 300 and (found.left, found.stuck) == (0, 0)
+    outcome = corridor(40, 40, wide=4000, long=10_000)
+    assert outcome.seconds < 20 and outcome.nearest > 300 and (outcome.left, outcome.stuck) == (0, 0)
 
 
-def test_who_stands_in_a_corridor_too_narrow_to_pass_is_told_to_be_stuck() -> None:
-    found = corridor(2, 15, wide=150, long=6_000)
-    assert found.seconds == np.inf and (found.left, found.stuck) == (2, 2)
+def test_agents_in_a_corridor_too_narrow_to_pass_are_reported_as_stuck() -> None:
+    outcome = corridor(2, 15, wide=150, long=6_000)
+    assert outcome.seconds == np.inf and (outcome.left, outcome.stuck) == (2, 2)
 
 
 @pytest.mark.slow

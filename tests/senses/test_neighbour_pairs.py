@@ -178,8 +178,8 @@ def test_others_ask_and_some_rows_of_them() -> None:
         query = asking if chosen is None else [place[chosen] for place in asking]
         assert_same(pairs, all_pairs(grid, query, 30.0, None, view_of(m)))
         assert pairs.i.size > 0
-    nobody = CellGrid(*(np.empty(0, np.float32),) * 3, np.empty(0, np.int64), 5.0)
-    assert nobody.pairs(None, 5.0, **named).i.size == 0
+    empty_grid = CellGrid(*(np.empty(0, np.float32),) * 3, np.empty(0, np.int64), 5.0)
+    assert empty_grid.pairs(None, 5.0, **named).i.size == 0
     assert grid.pairs(np.empty(0, np.intp), 5.0).i.size == 0
 
 

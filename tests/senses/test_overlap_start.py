@@ -22,7 +22,7 @@ species ghost { radius 0 mm; state go { steer coast() } }
 SPOTS = np.array([[0.0, 0, 0], [60.0, 0, 0], [-60.0, 0, 0], [0, 0, 60.0]])
 
 
-def begun(*crowds: CrowdData, options: Options | None = None) -> World:
+def bind_crowds(*crowds: CrowdData, options: Options | None = None) -> World:
     return world(*crowds, text=TEXT, options=options, obstacles={}, maps={})
 
 
@@ -30,28 +30,28 @@ def at(species: str, count: int, group: int = 0, spots: np.ndarray = SPOTS) -> C
     return CrowdData(species, count, PlaceData(points=spots), group)
 
 
-def share(made: World) -> float:
-    return made.motion.summary()["overlap_start"]
+def share(bound_world: World) -> float:
+    return bound_world.motion.summary()["overlap_start"]
 
 
 def test_it_is_known_before_the_first_step() -> None:
-    assert share(begun(at("ant", 4))) == 0
-    assert share(begun(at("ant", 6))) == pytest.approx(4 / 6)
+    assert share(bind_crowds(at("ant", 4))) == 0
+    assert share(bind_crowds(at("ant", 6))) == pytest.approx(4 / 6)
 
 
-def test_all_species_are_seen_and_who_takes_no_room_is_in_nobody() -> None:
-    assert share(begun(at("ant", 4), at("giant", 1, 1))) == pytest.approx(2 / 5)
-    assert share(begun(at("ant", 4), at("ghost", 4, 1))) == 0
+def test_all_species_are_counted_and_an_agent_without_size_overlaps_none() -> None:
+    assert share(bind_crowds(at("ant", 4), at("giant", 1, 1))) == pytest.approx(2 / 5)
+    assert share(bind_crowds(at("ant", 4), at("ghost", 4, 1))) == 0
 
 
 def test_it_is_of_the_crowd_that_was_placed_and_not_of_the_one_after_a_preroll() -> None:
-    made = begun(at("ant", 8))
+    bound_world = bind_crowds(at("ant", 8))
     for _ in range(30):
-        step(made)
-    made.motion.reset()
-    assert share(made) == 1 and made.motion.steps == 0
-    other = bind(made.plan, made.setting)
-    restore(other, checkpoint(made))
+        step(bound_world)
+    bound_world.motion.reset()
+    assert share(bound_world) == 1 and bound_world.motion.steps == 0
+    other = bind(bound_world.plan, bound_world.setting)
+    restore(other, checkpoint(bound_world))
     step(other)
     assert share(other) == 1
 

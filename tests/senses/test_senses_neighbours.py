@@ -25,8 +25,8 @@ def by_brute_force(x, y, z, ids, qx, qy, qz, qid, radius) -> set[tuple[int, int]
     return set(zip(*(a.tolist() for a in np.nonzero(near)), strict=True))
 
 
-def as_ids(pairs: Pairs, ids: np.ndarray, asker: np.ndarray) -> list[tuple]:
-    rows = zip(asker[pairs.i], ids[pairs.j], pairs.dx, pairs.dy, pairs.dz, pairs.distance, strict=True)
+def as_ids(pairs: Pairs, ids: np.ndarray, asker_ids: np.ndarray) -> list[tuple]:
+    rows = zip(asker_ids[pairs.i], ids[pairs.j], pairs.dx, pairs.dy, pairs.dz, pairs.distance, strict=True)
     return [tuple(v.item() for v in row) for row in rows]
 
 
@@ -67,30 +67,30 @@ def test_own_radius_of_each_query_and_other_species():
     pairs = grid.pairs(None, radius, qx=qx, qy=qy, qz=qz)
     assert set(zip(pairs.i.tolist(), pairs.j.tolist(), strict=True)) == by_brute_force(x, y, z, None, qx, qy, qz, None, radius)
     rows = np.array([200, 7, 7, 40], np.int32)
-    some = grid.pairs(rows, radius[rows], qx=qx, qy=qy, qz=qz)
+    row_pairs = grid.pairs(rows, radius[rows], qx=qx, qy=qy, qz=qz)
     for k, row in enumerate(rows):
-        assert np.array_equal(some.j[some.i == k], pairs.j[pairs.i == row])
+        assert np.array_equal(row_pairs.j[row_pairs.i == k], pairs.j[pairs.i == row])
 
 
 def test_the_order_of_rows_is_not_observable(monkeypatch):
     n = 2500
     x, y, z = crowd(n, (300, 20, 300))
     ids = np.arange(n, dtype=np.int64) * 3
-    before = as_ids(CellGrid(x, y, z, ids, 15.0).pairs(None, 14.0), ids, ids)
+    expected = as_ids(CellGrid(x, y, z, ids, 15.0).pairs(None, 14.0), ids, ids)
     order = np.random.default_rng(5).permutation(n)
     monkeypatch.setattr(parallel, "PART", 37)
     grid = CellGrid(x[order], y[order], z[order], ids[order], 15.0)
     back = np.argsort(order).astype(np.int32)
     for threads in (1, 3):
-        assert as_ids(grid.pairs(back, 14.0, threads=threads), ids[order], ids) == before
+        assert as_ids(grid.pairs(back, 14.0, threads=threads), ids[order], ids) == expected
 
 
 def test_an_agent_far_away_changes_nothing_for_others():
     x, y, z = crowd(500, (100, 5, 100))
     ids = np.arange(501, dtype=np.int64)
-    before = sorted(as_ids(CellGrid(x, y, z, ids[:500], 9.0).pairs(None, 9.0), ids, ids))
+    expected = sorted(as_ids(CellGrid(x, y, z, ids[:500], 9.0).pairs(None, 9.0), ids, ids))
     far = [np.append(a, np.float32(v)) for a, v in zip((x, y, z), (-70_000.0, 3e4, 1e5), strict=True)]
-    assert sorted(as_ids(CellGrid(*far, ids, 9.0).pairs(None, 9.0), ids, ids)) == before
+    assert sorted(as_ids(CellGrid(*far, ids, 9.0).pairs(None, 9.0), ids, ids)) == expected
 
 
 def test_a_crowd_on_one_spot_keeps_the_lowest_ids_and_little_memory():
@@ -109,7 +109,7 @@ def test_a_crowd_on_one_spot_keeps_the_lowest_ids_and_little_memory():
     assert sorted(last.tolist()) == list(range(limits.NEIGHBOURS))
 
 
-def test_nothing_wrong_with_nobody_and_with_places_that_are_not_numbers():
+def test_empty_crowds_and_places_that_are_not_numbers_do_no_harm():
     none = np.empty(0, np.float32)
     assert CellGrid(none, none, none, np.empty(0, np.int64), 5.0).pairs(None, 5.0).i.size == 0
     x = np.array([0, 1, np.nan, np.inf, 1e30, 2], np.float32)
@@ -131,11 +131,11 @@ def test_the_field_of_view_leaves_who_is_in_it() -> None:
         np.full(n, 0.5, np.float32),
     )
     grid = CellGrid(x, y, z, ids, 12.0)
-    every, seen = grid.pairs(None, 12.0), grid.pairs(None, 12.0, view=view)
+    every, visible = grid.pairs(None, 12.0), grid.pairs(None, 12.0, view=view)
     turned = np.abs(np.arctan2(every.dz, every.dx) - np.float32(angle[every.i]))
     inside = np.cos(turned) * np.hypot(every.dx, every.dz) >= 0.5 * every.distance  # a sixth of the way round to either side
     assert 0.2 < inside.mean() < 0.5
-    assert set(zip(seen.i.tolist(), seen.j.tolist(), strict=True)) == set(
+    assert set(zip(visible.i.tolist(), visible.j.tolist(), strict=True)) == set(
         zip(every.i[inside].tolist(), every.j[inside].tolist(), strict=True)
     )
 

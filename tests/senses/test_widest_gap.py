@@ -8,7 +8,7 @@ import pytest
 from antdsl.senses.clear_velocity import widest_gaps
 
 
-def way(*bearings: float) -> float | None:
+def gap_bearing(*bearings: float) -> float | None:
     """Bearing in degrees, above 0 to the left, of the way that is found for neighbours at some bearings."""
     angle = np.radians(np.array(bearings, np.float64))
     x, y = widest_gaps(np.cos(angle)[None], np.sin(angle)[None], np.ones((1, len(bearings)), np.bool_))
@@ -28,7 +28,7 @@ def way(*bearings: float) -> float | None:
     ],
 )
 def test_the_middle_of_the_widest_gap(bearings: tuple[float, ...], found: float | None) -> None:
-    assert way(*bearings) == (None if found is None else pytest.approx(found, abs=1e-3))
+    assert gap_bearing(*bearings) == (None if found is None else pytest.approx(found, abs=1e-3))
 
 
 def test_who_is_not_there_or_on_the_same_spot_does_not_count() -> None:

@@ -12,7 +12,7 @@ import pytest
 from executed import InThisProcess
 
 from antdsl.executors import Lost, Refused, Task, Worker
-from antdsl.executors.parcel import Parcel, Seen, inside, pack
+from antdsl.executors.parcel import FileBundle, VisibleFile, inside, pack
 from antdsl.outputs.cache.cache_reader import open_cache
 from antdsl.outputs.drawing import Drawer, Drawn, Stills
 from antdsl.pipeline import Choices, open_scene
@@ -28,12 +28,12 @@ OPTIONS = {"backend": "numpy", "chunk": 16_384, "shuffle_rows": None, "on_fault"
 class Afar(InThisProcess):
     """A worker that has the files of a parcel, and sees no folder of whoever asks. `lost`: so many files cannot be had."""
 
-    def __init__(self, parcel: Parcel, folder: Path, lost: int = 0) -> None:
+    def __init__(self, bundle: FileBundle, folder: Path, lost: int = 0) -> None:
         super().__init__()
         self.lost, self.made = lost, folder / "made"
-        parcel.unpack(folder / "files")
+        bundle.unpack(folder / "files")
         self.made.mkdir()
-        self._worker = Worker(1, here=lambda path: inside(folder / "files", path), scratch=self.made, name="afar")
+        self._worker = Worker(1, local_path=lambda path: inside(folder / "files", path), scratch=self.made, name="afar")
 
     def submit(self, executor: Executor, task: Task, place: int) -> Future[str]:
         document = {**task.document, "token": "nobody sees this"}
@@ -61,32 +61,34 @@ def files(folder: Path) -> dict[str, bytes]:
 
 def test_a_shot_on_another_machine_is_the_same_cache_and_nothing_of_an_earlier_one_stays(walkers: Path) -> None:
     scene = walkers / "walkers" / "scene.yaml"
-    done = commands.run("run", str(scene), "--frames", "1..3", "--out", "here/walk", "--quiet", "--backend", "numpy", cwd=walkers)
-    assert done.returncode == 0, done.stderr
+    process = commands.run(
+        "run", str(scene), "--frames", "1..3", "--out", "here/walk", "--quiet", "--backend", "numpy", cwd=walkers
+    )
+    assert process.returncode == 0, process.stderr
     choices = Choices(frames=FrameRange(1, 3))
     with sought() as read:
         shot, report = open_scene(scene, choices)
     assert shot is not None and report.ok
     afar = Afar(pack(path for path in read if path.is_file()), walkers / "afar", lost=1)
-    there = walkers / "there"
-    (there / "walk" / "frames").mkdir(parents=True)
-    (there / "walk" / "frames" / "frame.0009.npz").write_bytes(b"of an earlier run")
-    with destination(there) as to:
-        (answered,) = fetched([task(shot, scene, choices, OPTIONS, to, "walk")], afar, lambda task: there)
+    remote_folder = walkers / "there"
+    (remote_folder / "walk" / "frames").mkdir(parents=True)
+    (remote_folder / "walk" / "frames" / "frame.0009.npz").write_bytes(b"of an earlier run")
+    with destination(remote_folder) as to:
+        (answered,) = fetched([task(shot, scene, choices, OPTIONS, to, "walk")], afar, lambda task: remote_folder)
     assert answered.answer is not None and len(afar.tasks) == 2, "done again, since its files could not be had"
-    without_others(there / "walk", answered.answer["files"], "walk")
-    assert files(there) == {name: data for name, data in files(walkers / "here").items()}
+    without_others(remote_folder / "walk", answered.answer["files"], "walk")
+    assert files(remote_folder) == {name: data for name, data in files(walkers / "here").items()}
 
 
-def test_files_that_have_changed_are_told_and_nothing_is_mixed(walkers: Path) -> None:
+def test_files_that_have_changed_are_reported_and_nothing_is_mixed(walkers: Path) -> None:
     scene = walkers / "walkers" / "scene.yaml"
     shot, _ = open_scene(scene)
     assert shot is not None
     with destination(walkers) as to:
-        asked = task(shot, scene, Choices(), OPTIONS, to, "walk")
+        shot_task = task(shot, scene, Choices(), OPTIONS, to, "walk")
         program = walkers / "walkers" / "walker.ant"
         program.write_text(program.read_text(encoding="utf-8") + "\n# another\n", encoding="utf-8")
-        (answered,) = fetched([asked], InThisProcess(), lambda task: walkers)
+        (answered,) = fetched([shot_task], InThisProcess(), lambda task: walkers)
     assert answered.answer is None and "have changed" in answered.problem and not (walkers / "walk").exists()
 
 
@@ -98,61 +100,64 @@ def test_a_worker_cannot_put_a_file_anywhere_else(tmp_path: Path, name: str) -> 
 
 
 def test_stills_of_another_machine_are_those_of_this_one(walkers: Path) -> None:
-    done = commands.run("run", "walkers/scene.yaml", "--frames", "1..6", "--out", "walk", "--quiet", cwd=walkers)
-    assert done.returncode == 0, done.stderr
-    cache, wanted = walkers / "walk", Drawn(160, 90, "scene", ("trail",))
+    process = commands.run("run", "walkers/scene.yaml", "--frames", "1..6", "--out", "walk", "--quiet", cwd=walkers)
+    assert process.returncode == 0, process.stderr
+    cache, still_options = walkers / "walk", Drawn(160, 90, "scene", ("trail",))
     afar = Afar(pack(path for path in cache.rglob("*") if path.is_file()), walkers / "afar")
-    there = walkers / "there"
-    there.mkdir()
-    with destination(there) as to:
-        jobs = list(stills.tasks(cache, wanted, range(1, 7), range(1, 7), to))
+    remote_folder = walkers / "there"
+    remote_folder.mkdir()
+    with destination(remote_folder) as to:
+        jobs = list(stills.tasks(cache, still_options, range(1, 7), range(1, 7), to))
         assert [job.document["frames"] for job in jobs] == [[1, 2, 3, 4], [5, 6]]
-        assert all(answered.answer is not None for answered in fetched(jobs, afar, lambda task: there))
-    drawer = Drawer(wanted.gallery(open_cache(cache)), wanted, range(1, 7), 1)
-    here = walkers / "here"
-    here.mkdir()
-    kept = Stills.of(here, open_cache(cache), wanted, range(1, 7))
+        assert all(answered.answer is not None for answered in fetched(jobs, afar, lambda task: remote_folder))
+    drawer = Drawer(still_options.gallery(open_cache(cache)), still_options, range(1, 7), 1)
+    local_folder = walkers / "here"
+    local_folder.mkdir()
+    local_stills = Stills.of(local_folder, open_cache(cache), still_options, range(1, 7))
     for frame in range(1, 7):
-        kept.put(frame, drawer.draw(frame))
-    assert files(there) == files(here) and len(files(here)) == 6
-    assert all(Stills.of(there, open_cache(cache), wanted, range(1, 7)).kept(frame) is not None for frame in range(1, 7))
+        local_stills.put(frame, drawer.draw(frame))
+    assert files(remote_folder) == files(local_folder) and len(files(local_folder)) == 6
+    assert all(
+        Stills.of(remote_folder, open_cache(cache), still_options, range(1, 7)).read_still(frame) is not None
+        for frame in range(1, 7)
+    )
 
 
 def test_exports_of_another_machine_are_those_of_this_one(walkers: Path) -> None:
     assert commands.run("run", "walkers/scene.yaml", "--frames", "1..10", "--out", "walk", "--quiet", cwd=walkers).returncode == 0
     assert commands.run("export", "walk", "--to", "here/w.geo", "--ids", "3..9", cwd=walkers).returncode == 0
-    cache, there = walkers / "walk", walkers / "there"
+    cache, remote_folder = walkers / "walk", walkers / "there"
     afar = Afar(pack(path for path in cache.rglob("*") if path.is_file()), walkers / "afar")
-    there.mkdir()
-    with destination(there) as to:
+    remote_folder.mkdir()
+    with destination(remote_folder) as to:
         jobs = exports.tasks(cache, "w.geo", "points", frozenset(range(3, 10)), range(1, 11), to)
-        assert all(answered.answer is not None for answered in fetched(jobs, afar, lambda task: there))
-    assert files(there) == files(walkers / "here") and len(files(there)) == 10
+        assert all(answered.answer is not None for answered in fetched(jobs, afar, lambda task: remote_folder))
+    assert files(remote_folder) == files(walkers / "here") and len(files(remote_folder)) == 10
 
 
-def test_a_parcel_is_known_by_its_hash_and_stays_in_its_folder(tmp_path: Path) -> None:
+def test_a_bundle_is_known_by_its_hash_and_stays_in_its_folder(tmp_path: Path) -> None:
     (tmp_path / "a").mkdir()
     (tmp_path / "a" / "x.txt").write_bytes(b"one")
-    parcel = pack([tmp_path / "a" / "x.txt", tmp_path / "a" / ".." / "a" / "x.txt"])
-    parcel.unpack(tmp_path / "to")
+    bundle = pack([tmp_path / "a" / "x.txt", tmp_path / "a" / ".." / "a" / "x.txt"])
+    bundle.unpack(tmp_path / "to")
     assert inside(tmp_path / "to", str(tmp_path / "a" / "x.txt")).read_bytes() == b"one"
     with pytest.raises(Refused, match="did not arrive"):
-        Parcel(parcel.data[:-1] + b"x", parcel.digest).unpack(tmp_path / "other")
+        FileBundle(bundle.data[:-1] + b"x", bundle.digest).unpack(tmp_path / "other")
     from antdsl.executors.parcel import _packed
 
     with pytest.raises(Refused, match="outside"):
         _packed({"../x": b"1"}).unpack(tmp_path / "third")
-    seen = Seen.of(tmp_path / "a" / "x.txt")
-    assert seen.there() and os.path.isabs(seen.path)
+    visible_file = VisibleFile.of(tmp_path / "a" / "x.txt")
+    assert visible_file.is_visible() and os.path.isabs(visible_file.path)
     (tmp_path / "a" / "x.txt").write_bytes(b"two")
-    assert not seen.there()
+    assert not visible_file.is_visible()
 
 
 def test_a_destination_is_known_by_its_mark(tmp_path: Path) -> None:
     worker = Worker(1, scratch=tmp_path / "scratch")
     (tmp_path / "scratch").mkdir()
     with destination(tmp_path) as to:
-        assert to.place(worker, "k") == tmp_path and to.made(worker, tmp_path, "k")["files"] == []
+        assert to.place(worker, "k") == tmp_path and to.describe_files(worker, tmp_path, "k")["files"] == []
     assert (
         to.place(worker, "k") == tmp_path / "scratch" / "k" and Destination(str(tmp_path), "").place(Worker(1), "k") == tmp_path
     )

@@ -59,13 +59,13 @@ def folder(tmp_path: Path) -> Path:
     return tmp_path
 
 
-def found(folder: Path, specs: str, program: str = WALKER, **choices: object) -> tuple[list[Run], Report]:
+def collect_runs(folder: Path, specs: str, program: str = WALKER, **choices: object) -> tuple[list[Run], Report]:
     (folder / "walker.ant").write_text(program + specs)
     return cases([folder / "walker.ant"], **choices)  # type: ignore[arg-type]
 
 
 def judged(folder: Path, specs: str, program: str = WALKER, backend: str = "numpy", **options: object) -> list[Case]:
-    runs, report = found(folder, specs, program)
+    runs, report = collect_runs(folder, specs, program)
     assert report.ok, [(d.code, d.message, str(d.span)) for d in report.sorted()]
     run_cases(runs, Work(Options(backend=backend, **options)))  # type: ignore[arg-type]
     return [case for run in runs for case in run.cases]
@@ -108,7 +108,7 @@ LINES = [
 ]
 
 
-WAYS = (
+OPTION_SETS = (
     {"backend": "numpy"},
     {"backend": "native", "wait_for_code": True},
     {"backend": "numpy", "chunk": 2, "threads": 2, "shuffle_rows": 3},
@@ -116,7 +116,7 @@ WAYS = (
 )
 
 
-def told(case: Case) -> str:
+def failure_text(case: Case) -> str:
     return str([(f.message, f.frame, f.time, f.values, f.agent) for f in case.failures])
 
 
@@ -126,25 +126,31 @@ def test_when_each_line_fails(folder: Path) -> None:
     first = judged(folder, "".join(specs))
     assert len(first) == len(LINES)
     for case, (line, frame) in zip(first, LINES, strict=True):
-        wanted = [] if frame is None else [7 if frame == "each" else frame]
-        assert [f.frame for f in case.failures] == wanted, (line, case.failures)
-        assert case.outcome == ("failed" if wanted else "passed")
-    for way in WAYS:
-        assert [told(case) for case in judged(folder, "".join(specs), **way)] == [told(case) for case in first]  # type: ignore[arg-type]
+        expected = [] if frame is None else [7 if frame == "each" else frame]
+        assert [f.frame for f in case.failures] == expected, (line, case.failures)
+        assert case.outcome == ("failed" if expected else "passed")
+    for options in OPTION_SETS:
+        assert [failure_text(case) for case in judged(folder, "".join(specs), **options)] == [
+            failure_text(case) for case in first
+        ]  # type: ignore[arg-type]
 
 
-def test_values_are_told_with_the_authors_units(folder: Path) -> None:
+def test_values_are_reported_with_the_authors_units(folder: Path) -> None:
     program = WALKER.replace("max_speed 30 mm/s", "max_speed 30 mm/s\n  size 4 mm").replace(
         "tick += pace", "tick += pace; size += 1 mm/s"
     )
     lines = (
         "always: max(walker.size) <= 0.45 cm and share(state == rest) < 20 %; each walker { never: state == rest or size > 1 m }"
     )
-    whole, each = judged(folder, spec(lines), program)[0].failures
-    assert whole.message.startswith("always: max(walker.size)") and whole.span is not None and whole.frame == 7
-    assert whole.values == (("max(walker.size)", "0.46 cm"), ("share(state == rest)", "0 %"))
+    crowd_failure, each = judged(folder, spec(lines), program)[0].failures
+    assert (
+        crowd_failure.message.startswith("always: max(walker.size)")
+        and crowd_failure.span is not None
+        and crowd_failure.frame == 7
+    )
+    assert crowd_failure.values == (("max(walker.size)", "0.46 cm"), ("share(state == rest)", "0 %"))
     assert each.agent == ("walker", 0) and each.values == (("state", "rest"), ("size", "0.005 m"))
-    assert whole.time == pytest.approx(0.6)
+    assert crowd_failure.time == pytest.approx(0.6)
 
 
 def test_what_nearly_agrees_is_seen_to_differ(folder: Path) -> None:
@@ -161,11 +167,11 @@ def test_what_nearly_agrees_is_seen_to_differ(folder: Path) -> None:
 
 def test_fractions_of_crumbs_are_counted_exactly(folder: Path) -> None:
     """0.1 is no float32 and 3.3 no float64: what the food loses is what the walkers get, and one lost bit is found."""
-    kept = "always: total(food.load) + total(walker.load) + total(nest.load) == at_start"
-    (case,) = judged(folder, spec(f"for 6 s; {kept}; eventually: total(walker.load) > 1"))
+    conservation = "always: total(food.load) + total(walker.load) + total(nest.load) == at_start"
+    (case,) = judged(folder, spec(f"for 6 s; {conservation}; eventually: total(walker.load) > 1"))
     assert not case.failures
     leak = WALKER.replace("when previous == rest -> go", "when previous == rest and load > 0 -> go { load -= 0.00000001 }")
-    (case,) = judged(folder, spec(f"for 6 s; {kept}"), leak)
+    (case,) = judged(folder, spec(f"for 6 s; {conservation}"), leak)
     assert len(case.failures) == 1 and case.failures[0].values[0][1] != case.failures[0].values[1][1]
 
 
@@ -225,7 +231,7 @@ end_header
 """
 
 
-def test_the_volume_of_a_solid_is_asked_for(tmp_path: Path) -> None:
+def test_specs_read_the_volume_of_a_solid(tmp_path: Path) -> None:
     (tmp_path / "block.ply").write_text(BLOCK)
     (tmp_path / "scene.yaml").write_text(
         "antdsl: 1\nfps: 10\nframes: 1..6\nworld: {ground: {mesh: ground.ply}, block: {mesh: block.ply, voxel: 1 mm}}\n"
@@ -258,8 +264,8 @@ EACH = [
 def test_each_agent_has_a_time_of_its_own(tmp_path: Path) -> None:
     (tmp_path / "scene.yaml").write_text(FLIES)
     specs = "".join(spec(f"each fly {{ {lines} }}") for lines, *_ in EACH)
-    for way in WAYS:
-        for case, (lines, frame, agent, why) in zip(judged(tmp_path, specs, MORTAL, **way), EACH, strict=True):  # type: ignore[arg-type]
+    for options in OPTION_SETS:
+        for case, (lines, frame, agent, why) in zip(judged(tmp_path, specs, MORTAL, **options), EACH, strict=True):  # type: ignore[arg-type]
             failures = [(f.frame, f.agent) for f in case.failures]
             assert failures == ([] if frame is None else [(frame, ("fly", agent))]), (lines, case.failures)
             assert all(why in f.message for f in case.failures)
@@ -278,27 +284,27 @@ def test_seeds_params_and_fields_are_set(folder: Path) -> None:
         "always: total(scent) <= 5.001; eventually: max(scent) > 0 }",
         'spec "stays" on "scene.yaml" { for 0.6 s; eventually: total(scent) > 5.001; each walker { eventually: scent > 0 } }',
     ]
-    found = judged(folder, "\n".join(specs) + "\n", program)
-    assert [(c.name, c.seed, c.failures[0].frame if c.failures else None) for c in found] == [
+    case_list = judged(folder, "\n".join(specs) + "\n", program)
+    assert [(c.name, c.seed, c.failures[0].frame if c.failures else None) for c in case_list] == [
         ("quick", 1, 7), ("quick", 2, 7), ("quick", 7, 7), ("gone", 4, None), ("stays", 4, None),
     ]  # fmt: skip
 
 
 def test_one_simulation_serves_all_specs_of_a_scene(folder: Path) -> None:
     text = spec("always: count(walker) == 5", "a") + spec("set walker.pace = 3 /s; always: count(walker) == 5", "b")
-    runs, _ = found(folder, text + spec("seeds 3 .. 4; always: count(walker) == 5", "c"))
+    runs, _ = collect_runs(folder, text + spec("seeds 3 .. 4; always: count(walker) == 5", "c"))
     assert [[(c.name, c.seed) for c in run.cases] for run in runs] == [[("a", 4), ("c", 4)], [("b", 4)], [("c", 3)]]
-    runs, _ = found(folder, text + spec("seeds 3 .. 4; always: count(walker) == 5", "c"), seeds=2)
+    runs, _ = collect_runs(folder, text + spec("seeds 3 .. 4; always: count(walker) == 5", "c"), seeds=2)
     assert [[(c.name, c.seed) for c in run.cases] for run in runs] == [
         [("a", 1), ("c", 1)], [("a", 2), ("c", 2)], [("b", 1)], [("b", 2)],
     ]  # fmt: skip
-    runs, _ = found(folder, text, named="B")
+    runs, _ = collect_runs(folder, text, named="B")
     assert [c.name for run in runs for c in run.cases] == ["b"]
 
 
 def test_looking_changes_nothing(folder: Path) -> None:
     lines = "always: total(food.load) <= at_start; each walker { always: tick == at_start or distance(nearest(food)) < 1 m }"
-    runs, report = found(folder, spec(lines))
+    runs, report = collect_runs(folder, spec(lines))
     assert report.ok
     (run,) = runs
     watched, alone = (bind(run.shot.plan, run.shot.setting) for _ in range(2))
@@ -314,7 +320,7 @@ def test_looking_changes_nothing(folder: Path) -> None:
 
 def test_a_fault_fails_the_case_at_its_place(folder: Path) -> None:
     program = WALKER.replace("tick += pace", "tick += pace; load = 1 / (tick - 1)")
-    runs, _ = found(folder, spec("always: count(walker) == 5") + spec("seeds 1; always: count(walker) == 5", "y"), program)
+    runs, _ = collect_runs(folder, spec("always: count(walker) == 5") + spec("seeds 1; always: count(walker) == 5", "y"), program)
     coverage = Coverage()
     run_cases(runs, Work(Options(), coverage))
     for case in (case for run in runs for case in run.cases):
@@ -324,21 +330,27 @@ def test_a_fault_fails_the_case_at_its_place(folder: Path) -> None:
         assert failure.frame is not None and failure.frame <= 7 and ("(tick - 1)", "0") in failure.values
 
 
-def test_states_and_changes_that_nobody_met_are_known(folder: Path) -> None:
+def test_states_and_changes_that_no_agent_reached_are_known(folder: Path) -> None:
     program = WALKER.replace("  }\n}\n", "    when tick > 99 -> far\n  }\n  state far { when after 1 s -> go }\n}\n")
-    runs, _ = found(folder, spec("for 3 s; always: count(walker) == 5"), program)
+    runs, _ = collect_runs(folder, spec("for 3 s; always: count(walker) == 5"), program)
     coverage = Coverage()
     run_cases(runs, Work(Options(), coverage))
-    met = {each.name: each.count for each in (*coverage.states.values(), *coverage.changes.values())}
-    assert met["walker.main.far"] == met["walker.main.rest->far#1"] == met["walker.main.far->go#1"] == 0
-    assert met["walker.main.go->rest#1"] >= 5 and met["walker.main.rest"] > 5 and met["walker.main.go"] >= 5 * 10
+    visit_counts = {each.name: each.count for each in (*coverage.states.values(), *coverage.changes.values())}
+    assert (
+        visit_counts["walker.main.far"] == visit_counts["walker.main.rest->far#1"] == visit_counts["walker.main.far->go#1"] == 0
+    )
+    assert (
+        visit_counts["walker.main.go->rest#1"] >= 5
+        and visit_counts["walker.main.rest"] > 5
+        and visit_counts["walker.main.go"] >= 5 * 10
+    )
     food = runs[0].shot.setting.items["food"]
-    assert 0 < met["walker.main.rest->rest#1"] <= round(sum(i.attributes["load"] for i in food) / 0.1)
+    assert 0 < visit_counts["walker.main.rest->rest#1"] <= round(sum(i.attributes["load"] for i in food) / 0.1)
 
 
 def test_changes_are_counted_for_those_who_die_of_them(tmp_path: Path) -> None:
     (tmp_path / "scene.yaml").write_text(FLIES)
-    runs, _ = found(tmp_path, spec("always: count(fly) >= 0"), MORTAL)
+    runs, _ = collect_runs(tmp_path, spec("always: count(fly) >= 0"), MORTAL)
     coverage = Coverage()
     run_cases(runs, Work(Options(), coverage))
     assert [each.count for each in coverage.changes.values()] == [2, 1, 0]
@@ -356,21 +368,21 @@ def test_changes_are_counted_for_those_who_die_of_them(tmp_path: Path) -> None:
         ('spec "x" on "scene.yaml" { always: any(food.load > 3 and touching(nest)) }', "not-yet"),
     ],
 )
-def test_a_spec_that_cannot_run_is_told_at_its_place(folder: Path, specs: str, code: str) -> None:
+def test_a_spec_that_cannot_run_is_reported_at_its_place(folder: Path, specs: str, code: str) -> None:
     (folder / "other.ant").write_text("ant 1\nspecies b { state s { steer heading }; layers { state } }\n")
     (folder / "other.yaml").write_text("antdsl: 1\nframes: 1..2\ncrowd: [{species: b, from: other.ant, count: 1}]\n")
     (folder / "broken.yaml").write_text("antdsl: 1\nfrmes: 1..2\n")
-    runs, report = found(folder, specs + "\n")
+    runs, report = collect_runs(folder, specs + "\n")
     assert [d.code for d in report.errors] == [code], report.errors
     assert not runs and report.errors[0].span is not None and report.errors[0].help
 
 
 def test_without_a_scene_the_one_that_is_named_or_the_one_beside(folder: Path) -> None:
     line = 'spec "x" { always: count(walker) > 0 }\n'
-    runs, report = found(folder, line)
+    runs, report = collect_runs(folder, line)
     assert report.ok and [c.scene.name for run in runs for c in run.cases] == ["scene.yaml"]
     (folder / "scene.yaml").rename(folder / "shot.yaml")
-    runs, report = found(folder, line)
+    runs, report = collect_runs(folder, line)
     assert not runs and [d.code for d in report.errors] == ["no-scene"]
     runs, report = cases([folder / "shot.yaml"])
     assert report.ok and [c.scene.name for run in runs for c in run.cases] == ["shot.yaml"]
@@ -394,13 +406,13 @@ def test_specs_on_an_empty_crowd_and_preroll(folder: Path) -> None:
     assert not case.failures and case.frames == 31
 
 
-def test_runs_come_out_alike_whatever_was_asked_before(folder: Path) -> None:
+def test_runs_give_the_same_results_in_any_order_of_lines(folder: Path) -> None:
     """The first failure of each line, and no line hides another."""
     lines = ["always: max(tick) < 1.1", "never: any(tick > 0.5)", "within 0.2 s: any(tick > 0.5)", "eventually: any(tick > 9)"]
     for order in itertools.islice(itertools.permutations(lines), 0, 24, 5):
         (case,) = judged(folder, spec("; ".join(order)))
-        told = {f.message.split(" (")[0]: f.frame for f in case.failures}
-        assert told == {lines[0]: 7, lines[1]: 4, lines[2]: 3, lines[3]: 31}
+        frame_by_message = {f.message.split(" (")[0]: f.frame for f in case.failures}
+        assert frame_by_message == {lines[0]: 7, lines[1]: 4, lines[2]: 3, lines[3]: 31}
 
 
 SPEC = 'spec "{}" on "{}" {{ {}; for 1 s; always: count(walker) > 0 }}\n'
@@ -416,14 +428,18 @@ def test_check_finds_scenes_of_specs_that_are_not_there(tmp_path: Path) -> None:
     program.write_text(text)
     for path in (program, tmp_path / "scene.yaml"):
         errors = check_path(path)[1].errors
-        found = [(e.code, e.span.text) for e in errors if e.span is not None]
-        assert found == [("no-such-file", '"scen.yaml"'), ("no-such-file", '"other.yaml"'), ("bad-path", '"../scene.yaml"')]
+        error_places = [(e.code, e.span.text) for e in errors if e.span is not None]
+        assert error_places == [
+            ("no-such-file", '"scen.yaml"'),
+            ("no-such-file", '"other.yaml"'),
+            ("bad-path", '"../scene.yaml"'),
+        ]
         assert all(e.help for e in errors) and errors[0].fix is not None and errors[0].fix.text == '"scene.yaml"'
     runs, report = cases([program], named="a")
     assert report.ok and len(runs) == 1
 
 
-def test_a_scene_that_is_not_there_is_told_once_with_all_places(tmp_path: Path) -> None:
+def test_a_missing_scene_is_reported_once_with_all_places(tmp_path: Path) -> None:
     for file in ("walker.ant", "ground.ply", "scene.yaml"):
         shutil.copy(EXAMPLES / "minimal" / file, tmp_path)
     program = tmp_path / "walker.ant"

@@ -48,7 +48,7 @@ def run(capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, *wor
     return code, *capfd.readouterr()
 
 
-def test_results_are_told_in_words(folder: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_results_are_reported_in_words(folder: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
     code, out, err = run(capfd, monkeypatch, ".")
     assert code == 1 and not err
     out = re.sub(r": \d+ frames, [0-9.]+ s", "", out)
@@ -88,12 +88,12 @@ def test_results_are_written_for_build_servers(
     assert failed[0].get("file") == "a.ant" and failed[0].get("line") == "9"
     failure = failed[0].find("failure")
     assert failure is not None and "tick is 0.3" in (failure.text or "") and failure.get("message") == "always: tick < 0.25"
-    told = json.loads((folder / "out.json").read_text())
-    assert (told["passed"], told["failed"]) == (2, 1)
-    (bad,) = told["specs"][-1]["failures"]
+    document = json.loads((folder / "out.json").read_text())
+    assert (document["passed"], document["failed"]) == (2, 1)
+    (bad,) = document["specs"][-1]["failures"]
     assert bad["agent"] == {"species": "a", "id": 0} and (bad["frame"], bad["time"]) == (4, 0.3)
     assert bad["place"] == {"file": "a.ant", "line": 9, "column": 44} and bad["values"] == [{"text": "tick", "value": "0.3"}]
-    counts = {each["name"]: each["count"] for table in told["coverage"].values() for each in table}
+    counts = {each["name"]: each["count"] for table in document["coverage"].values() for each in table}
     assert counts["a.main.go"] > 0 and counts["a.main.go->never#1"] == 0
 
 
@@ -116,8 +116,8 @@ def test_what_cannot_run_ends_in_words_and_an_exit_code(
     (folder / "plain.ant").write_text(PROGRAM[: PROGRAM.index('spec "')])
     (folder / "bad.ant").write_text(PROGRAM.replace("count(a) == 3", "total(b.load) == 3"))
     (folder / "lost.ant").write_text(PROGRAM.replace("scene.yaml", "lost.yaml"))
-    found, out, err = run(capfd, monkeypatch, *words, "--json", "told.json")
-    assert found == code and (said in out + err or "error[" in err), out + err
+    exit_code, out, err = run(capfd, monkeypatch, *words, "--json", "told.json")
+    assert exit_code == code and (said in out + err or "error[" in err), out + err
     assert "Traceback" not in out + err
     if (folder / "told.json").exists() and code == 1:
         assert json.loads((folder / "told.json").read_text())["problems"][0]["place"]["file"].endswith(".ant")
@@ -142,14 +142,14 @@ def test_ctrl_c_writes_what_was_finished(folder: Path) -> None:
 
 def test_a_new_project_has_a_spec_that_holds(tmp_path: Path) -> None:
     assert antdsl("new", "ants", cwd=tmp_path).returncode == 0
-    done = antdsl("test", "ants", "--quiet", cwd=tmp_path)
-    assert done.returncode == 0 and done.stdout == "1 passed\n", done.stdout + done.stderr
+    process = antdsl("test", "ants", "--quiet", cwd=tmp_path)
+    assert process.returncode == 0 and process.stdout == "1 passed\n", process.stdout + process.stderr
 
 
 @pytest.mark.slow
 def test_the_specs_of_the_examples_hold() -> None:
-    done = subprocess.run(
+    process = subprocess.run(
         [sys.executable, "-m", "antdsl", "test", "examples"], cwd=ROOT, capture_output=True, text=True, timeout=900,
         env=child_environment(),
     )  # fmt: skip
-    assert done.returncode == 0, done.stdout + done.stderr
+    assert process.returncode == 0, process.stdout + process.stderr

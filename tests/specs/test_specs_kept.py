@@ -110,8 +110,8 @@ def test_what_a_newcomer_reads(folder: Path, run) -> None:  # type: ignore[no-un
 
 
 def agents(out: str) -> list[str]:
-    found = re.search(r"by a ([\d, ]+)", out)
-    return found[1].strip().split(", ") if found else []
+    match = re.search(r"by a ([\d, ]+)", out)
+    return match[1].strip().split(", ") if match else []
 
 
 def test_what_is_saved_is_the_run_that_was_judged_and_goes_on(folder: Path, run) -> None:  # type: ignore[no-untyped-def]
@@ -122,17 +122,17 @@ def test_what_is_saved_is_the_run_that_was_judged_and_goes_on(folder: Path, run)
     shot, _ = open_scene(folder / "scene.yaml", Choices(params={"a.pace": "30mm/s", "scent.half_life": "4s"}))
     assert shot is not None
     world = bind(shot.plan, shot.setting)
-    whole = {}
+    hash_by_frame = {}
     while world.frame <= 60:
-        whole[world.frame] = state_hash(world)
+        hash_by_frame[world.frame] = state_hash(world)
         step(world)
     assert cache.frames() == cache.checkpoints() == list(range(35, 43))
-    assert cache.hashes() == {frame: whole[frame] for frame in cache.frames()}
+    assert cache.hashes() == {frame: hash_by_frame[frame] for frame in cache.frames()}
     _, text = run("test", "a.ant", "-k", "rests")
     command = next(line.split(":  ")[1] for line in text.splitlines() if "go on from it" in line)
-    done = antdsl(*shlex.split(command.replace("35..90", "35..60"))[1:], cwd=folder)
-    assert done.returncode == 0, done.stdout + done.stderr
-    assert open_cache(out).hashes() == {frame: whole[frame] for frame in range(35, 61)}
+    process = antdsl(*shlex.split(command.replace("35..90", "35..60"))[1:], cwd=folder)
+    assert process.returncode == 0, process.stdout + process.stderr
+    assert open_cache(out).hashes() == {frame: hash_by_frame[frame] for frame in range(35, 61)}
     picture = next(line.split(":  ")[1] for line in text.splitlines() if "see it" in line)
     drawn = antdsl(*shlex.split(picture)[1:], "--width", "64", "--height", "36", cwd=folder)
     assert drawn.returncode == 0 and (out / "pictures" / "picture.0042.png").is_file(), drawn.stdout + drawn.stderr
@@ -186,9 +186,9 @@ def test_a_failing_spec_of_the_foraging_example_shows_its_cause(tmp_path: Path, 
     assert code == 1
     lines = re.sub(r", [0-9.]+ s$", ", … s", out, flags=re.MULTILINE).splitlines()
     place = next(f"{n}:5" for n, line in enumerate(text.splitlines(), 1) if "source is not none" in line)
-    told = lines[lines.index(f"  forager.ant:{place}: always: load == 0 or source is not none") :]
-    when, who = re.search(r"first at frame (\d+), [0-9.]+ s from the start, by forager (\d+)", told[1]).groups()  # type: ignore[union-attr]
-    assert [re.sub("position is [-0-9., ]+", "position is …", line) for line in told[2:6] if " of " not in line] == [
+    failure_lines = lines[lines.index(f"  forager.ant:{place}: always: load == 0 or source is not none") :]
+    when, who = re.search(r"first at frame (\d+), [0-9.]+ s from the start, by forager (\d+)", failure_lines[1]).groups()  # type: ignore[union-attr]
+    assert [re.sub("position is [-0-9., ]+", "position is …", line) for line in failure_lines[2:6] if " of " not in line] == [
         "      load is 1",
         "      source is none",
         "      state is carry, for 0.04167 s",
@@ -197,10 +197,10 @@ def test_a_failing_spec_of_the_foraging_example_shows_its_cause(tmp_path: Path, 
     folder = "out/failed/no-crumb-is-lost-or-invented-7"
     saved = int(re.search(r"saved: frames (\d+) to (\d+) in", out)[1])  # type: ignore[index]
     assert saved < int(when) and f"antdsl render {folder} --frames {int(when) - 1}..{when} --agents {who}" in out, out
-    before, then = (open_cache(Path(folder)).frame(int(when) - k) for k in (1, 0))
+    previous_frame, then = (open_cache(Path(folder)).frame(int(when) - k) for k in (1, 0))
     states = ("search", "turn_home", "approach", "carry")
     row = int(np.flatnonzero(then["id"] == int(who))[0])
-    assert [states[frame["state"][row]] for frame in (before, then)] == ["approach", "carry"]
+    assert [states[frame["state"][row]] for frame in (previous_frame, then)] == ["approach", "carry"]
 
 
 # --- golden runs -----------------------------------------------------------------------------------------------------
@@ -212,8 +212,8 @@ TWO = 'spec "all are there" on "scene.yaml" { for 2 s; seeds 5 .. 6; always: cou
 def golden_run(tmp_path_factory: pytest.TempPathFactory) -> bytes:
     """The file of a golden run, as the command writes it."""
     folder = written(tmp_path_factory.mktemp("golden"), PROGRAM + TWO)
-    done = antdsl("test", "a.ant", "--update", cwd=folder)
-    assert done.returncode == 0 and "written golden run of scene.yaml, seed 5: 49 frames" in done.stdout, done.stdout
+    process = antdsl("test", "a.ant", "--update", cwd=folder)
+    assert process.returncode == 0 and "written golden run of scene.yaml, seed 5: 49 frames" in process.stdout, process.stdout
     return golden_path(folder / "scene.yaml").read_bytes()
 
 
@@ -233,9 +233,9 @@ def change(folder: Path, old: str, new: str) -> None:
 def test_a_golden_run_is_text_with_a_line_for_each_frame(folder: Path, golden) -> None:  # type: ignore[no-untyped-def]
     path = golden_path(folder / "scene.yaml")
     text = path.read_text()
-    kept = read_golden(path)
-    assert kept is not None and path.name == "scene.golden.json" and json.loads(text)["golden"] == 2
-    (one,) = kept.runs
+    stored_golden = read_golden(path)
+    assert stored_golden is not None and path.name == "scene.golden.json" and json.loads(text)["golden"] == 2
+    (one,) = stored_golden.runs
     assert one.seed == 5 and len(one.frames) == 49 and text.count('\n{"frame"') == 49 and len(text) < 60_000
     assert one.summary["a"] == "20 agents" and one.summary["food.load"].startswith("9")
     code, out = golden("test", "a.ant", "--threads", "2")
@@ -243,7 +243,7 @@ def test_a_golden_run_is_text_with_a_line_for_each_frame(folder: Path, golden) -
     assert golden("test", "a.ant", "--update")[0] == 0 and path.read_text() == text
 
 
-def test_a_golden_run_of_states_hashed_in_another_way_is_told_and_written_anew(folder: Path, golden) -> None:  # type: ignore[no-untyped-def]
+def test_a_golden_run_of_states_hashed_differently_is_reported_and_rewritten(folder: Path, golden) -> None:  # type: ignore[no-untyped-def]
     path = golden_path(folder / "scene.yaml")
     text = path.read_text()
     path.write_text(text.replace('{"golden": 2', '{"golden": 1', 1))
@@ -282,18 +282,18 @@ def test_other_agents_are_not_held_against_those_of_before(folder: Path, golden)
     assert "`a.mass`" not in text and "of a 20" not in text, text
 
 
-def test_a_golden_run_is_not_made_of_a_failure_and_damage_is_told(folder: Path, golden) -> None:  # type: ignore[no-untyped-def]
+def test_a_golden_run_is_not_made_of_a_failure_and_damage_is_reported(folder: Path, golden) -> None:  # type: ignore[no-untyped-def]
     path = golden_path(folder / "scene.yaml")
-    before = path.read_text()
+    old_text = path.read_text()
     change(folder, "count(a) == 20", "count(a) == 21")
     code, text = golden("test", "a.ant", "--update", "--no-keep")
-    assert code == 1 and "not written: its specs failed" in text and path.read_text() == before
+    assert code == 1 and "not written: its specs failed" in text and path.read_text() == old_text
     change(folder, "count(a) == 21", "count(a) == 20")
-    path.write_text(before.replace('"hash"', '"hush"'))
+    path.write_text(old_text.replace('"hash"', '"hush"'))
     code, text = golden("test", "a.ant")
     assert code == 1 and "`scene.golden.json` is damaged" in text and "--update" in text
-    assert golden("test", "a.ant", "--update")[0] == 0 and path.read_text() == before
-    path.write_text(before.replace('"numpy": "', '"numpy": "0.'))
+    assert golden("test", "a.ant", "--update")[0] == 0 and path.read_text() == old_text
+    path.write_text(old_text.replace('"numpy": "', '"numpy": "0.'))
     assert golden("test", "a.ant")[0] == 0  # the same bits, wherever they come from
     change(folder, "param pace  = 20", "param pace  = 21")
     assert "it was made with antdsl " in golden("test", "a.ant")[1]
@@ -307,11 +307,11 @@ def test_build_servers_read_golden_runs_and_what_may_fail(folder: Path, golden) 
     lucky = 'spec "lucky" on "scene.yaml" { for 0.1 s; seeds 1 .. 4; pass 1 %; each a { always: luck < 0.93 } }\n'
     (folder / "a.ant").write_text((folder / "a.ant").read_text() + lucky)
     code, text = golden("test", "a.ant", "--no-keep", "--junit", "out.xml", "--json", "out.json")
-    told = json.loads((folder / "out.json").read_text())
-    allowed = [case for case in told["specs"] if case["outcome"] == "allowed"]
+    document = json.loads((folder / "out.json").read_text())
+    allowed = [case for case in document["specs"] if case["outcome"] == "allowed"]
     assert code == 1 and 0 < len(allowed) < 4 and f"{len(allowed)} allowed to fail" in text
     assert f'"lucky": {4 - len(allowed)} of 4 seeds passed, enough for 1 %' in text
-    (result,) = told["golden"]
+    (result,) = document["golden"]
     assert (result["outcome"], result["frame"]) == ("differs", 11) and result["differences"][0]["now"] == "21"
     suites = {suite.name: suite for suite in junitparser.JUnitXml.fromfile(str(folder / "out.xml"))}
     assert suites["golden runs"].failures == 1 and suites["a.ant"].skipped == len(allowed) and suites["a.ant"].failures == 0

@@ -7,12 +7,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from test_specs import BLOCK, FLIES, GROUND, MORTAL, SCENE, WALKER, WAYS, folder, found, judged, spec, told  # noqa: F401
+from test_specs import BLOCK, FLIES, GROUND, MORTAL, OPTION_SETS, SCENE, WALKER, collect_runs, failure_text, folder, judged, spec  # noqa: F401
 
 from antdsl.plan.lowering.spec_blocks import JudgementPlan
 from antdsl.source import Source, Span
 from antdsl.specs.cases import settle
-from antdsl.specs.lines import Line, Seen
+from antdsl.specs.lines import Line, Observation
 
 # In the scene of `WALKER`, `tick` is 0 at frame 1, grows by 0.2 a frame and reaches 2 at frame 11; ten frames a second.
 LINES = [
@@ -50,8 +50,8 @@ def test_when_each_line_fails(folder: Path) -> None:  # noqa: F811
     first = judged(folder, specs)
     for case, (line, frame) in zip(first, lines, strict=True):
         assert [f.frame for f in case.failures] == ([] if frame is None else [frame]), (line, case.failures)
-    for way in WAYS[1:]:
-        assert [told(case) for case in judged(folder, specs, **way)] == [told(case) for case in first]  # type: ignore[arg-type]
+    for options in OPTION_SETS[1:]:
+        assert [failure_text(case) for case in judged(folder, specs, **options)] == [failure_text(case) for case in first]  # type: ignore[arg-type]
 
 
 def walk(kind: str, steps: int | None, since: str, holds: str) -> int | None:
@@ -59,8 +59,10 @@ def walk(kind: str, steps: int | None, since: str, holds: str) -> int | None:
     plan = JudgementPlan(kind, 1, "a", "x", None, (), False, Span(Source("x", ""), 0, 0), None, "y")
     judged, one = Line(plan, steps, None), np.zeros(1, np.int64)
     for frame, (s, h) in enumerate(zip(since, holds, strict=True)):
-        seen = Seen(frame, frame + 1 == len(since), one, one, np.array([h == "#"]), np.array([s == "#"]), np.zeros(1, np.bool_))
-        if len(judged.look(seen)):
+        observation = Observation(
+            frame, frame + 1 == len(since), one, one, np.array([h == "#"]), np.array([s == "#"]), np.zeros(1, np.bool_)
+        )
+        if len(judged.look(observation)):
             return frame
     return None
 
@@ -168,10 +170,11 @@ def test_how_bodies_stand_is_bounded(tmp_path: Path) -> None:
     (tmp_path / "block.ply").write_text(BLOCK)
     (tmp_path / "points.json").write_text("[[20, 0, 0], [23, 0, 0]]")
     (tmp_path / "scene.yaml").write_text(PAIR)
-    apart = "1 - distance(nearest(walker)) / (2 * radius)"
-    close = f"each walker {{ always: abs(overlap - ({apart})) < 0.001; always: off_surface < 0.001 mm and penetration == 0 mm }}"
-    whole = "always: max(overlap) < 0.3 and max(walker.overlap) > 0.02 and max(penetration) == 0 mm"
-    cases = judged(tmp_path, spec(close) + spec(whole) + spec("each walker { always: overlap < 2 % }"), STILL)
+    overlap_formula = "1 - distance(nearest(walker)) / (2 * radius)"
+    close = f"each walker {{ always: abs(overlap - ({overlap_formula})) < 0.001; "
+    close += "always: off_surface < 0.001 mm and penetration == 0 mm }"
+    crowd_lines = "always: max(overlap) < 0.3 and max(walker.overlap) > 0.02 and max(penetration) == 0 mm"
+    cases = judged(tmp_path, spec(close) + spec(crowd_lines) + spec("each walker { always: overlap < 2 % }"), STILL)
     assert [f.values for c in cases[:2] for f in c.failures] == []
     (failure,) = cases[2].failures
     assert failure.agents == (0, 1) and failure.values[0][1].endswith(" %")
@@ -184,10 +187,10 @@ def test_how_deep_a_place_is_in_a_closed_mesh() -> None:
     corners = np.array([[x, y, z] for x, y, z in itertools.product((-8.0, 8.0), repeat=3)])
     sides = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
     faces = np.array([face for a, b, c, d in sides for face in ((a, b, c), (a, c, d))], np.int32)
-    places = np.array([[7.0, 0.3, 0.1], [0.2, -7.5, 0.4], [0.0, 0.1, 0.2], [8.5, 0.0, 0.0], [0.0, -30.0, 0.0], [0.0, 7.9, 20.0]])
+    points = np.array([[7.0, 0.3, 0.1], [0.2, -7.5, 0.4], [0.0, 0.1, 0.2], [8.5, 0.0, 0.0], [0.0, -30.0, 0.0], [0.0, 7.9, 20.0]])
     for shift in (0.0, 5000.0):
-        found = RayScene(corners + shift, faces).depth(places + shift)
-        assert np.allclose(found, [1.0, 0.5, 7.8, 0.0, 0.0, 0.0], atol=1e-3), found
+        depths = RayScene(corners + shift, faces).depth(points + shift)
+        assert np.allclose(depths, [1.0, 0.5, 7.8, 0.0, 0.0, 0.0], atol=1e-3), depths
 
 
 def test_an_authors_own_name_goes_before_that_of_a_measure(folder: Path) -> None:  # noqa: F811
@@ -205,8 +208,8 @@ def test_cells_of_a_field_are_counted(folder: Path) -> None:  # noqa: F811
     lines = "for 0.4 s; always: count(scent) == at_start and total(scent.value) == total(scent)"
     lines += "; always: count(scent.value > 0) <= 20 and share(scent.value > 0) == count(scent.value > 0) / count(scent)"
     lines += "; finally: count(scent.value > 0.5) > 0 and any(scent.value > 3) and every(scent.value < 99)"
-    for way in WAYS:
-        assert not judged(folder, spec(lines), program, **way)[0].failures  # type: ignore[arg-type]
+    for options in OPTION_SETS:
+        assert not judged(folder, spec(lines), program, **options)[0].failures  # type: ignore[arg-type]
     (case,) = judged(folder, spec("for 0.4 s; never: any(scent.value > 3)"), program)
     assert case.failures[0].values == (("any(scent.value > 3)", "yes"),)
 
@@ -235,7 +238,7 @@ def test_cells_of_a_field_are_counted(folder: Path) -> None:  # noqa: F811
         ("eventually: motion.standing > 0 held 1 s", "wrong-argument", "always: motion"),
     ],
 )
-def test_mistakes_in_lines_are_told_at_their_place(folder: Path, line: str, code: str, help: str) -> None:  # noqa: F811
-    runs, report = found(folder, spec(line))
+def test_mistakes_in_lines_are_reported_at_their_place(folder: Path, line: str, code: str, help: str) -> None:  # noqa: F811
+    runs, report = collect_runs(folder, spec(line))
     assert [d.code for d in report.errors] == [code], [(d.code, d.message) for d in report.errors]
     assert not runs and report.errors[0].span is not None and help in (report.errors[0].help or "")

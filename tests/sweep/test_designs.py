@@ -20,19 +20,19 @@ SMELL, PACE = Factor("ant.smell", (), 30.0, 90.0, "mm"), Factor("ant.pace", (), 
 
 
 def read(**vary: str) -> tuple[list[Factor], list[tuple[str, str]]]:
-    found, report = factors({f"ant.{name}": text for name, text in vary.items()})
-    return found, [(d.message, d.help or "") for d in report.errors]
+    factor_list, report = factors({f"ant.{name}": text for name, text in vary.items()})
+    return factor_list, [(d.message, d.help or "") for d in report.errors]
 
 
 def chosen(word: str, *of: Factor, points: int | None = None, seed: int = 1) -> Chosen:
-    found, report = choose(word, of, points, seed)
-    assert found is not None, report.errors
-    return found
+    design, report = choose(word, of, points, seed)
+    assert design is not None, report.errors
+    return design
 
 
 def refused(word: str, *of: Factor, points: int | None = None) -> str:
-    found, report = choose(word, of, points, 1)
-    assert found is None
+    design, report = choose(word, of, points, 1)
+    assert design is None
     return " ".join(f"{d.message}: {d.help}" for d in report.errors)
 
 
@@ -57,30 +57,30 @@ def test_values_one_by_one_and_ranges_are_read() -> None:
         ("1..9e9999", "not representable", "ant.smell=30mm..90mm"),
     ],
 )
-def test_what_cannot_be_read_is_told_with_what_to_write(text: str, says: str, write: str) -> None:
-    found, ((message, help),) = read(smell=text)
-    assert not found and says in message and write in help
+def test_what_cannot_be_read_is_reported_with_a_correction(text: str, says: str, write: str) -> None:
+    factor_list, ((message, help),) = read(smell=text)
+    assert not factor_list and says in message and write in help
 
 
 def test_a_grid_has_every_combination_the_last_name_changing_fastest() -> None:
-    found = chosen("grid", Factor("x.p", ("1", "2")), Factor("x.q", ("3", "4")))
-    assert found.points == tuple({"x.p": p, "x.q": q} for p, q in itertools.product("12", "34"))
+    design = chosen("grid", Factor("x.p", ("1", "2")), Factor("x.q", ("3", "4")))
+    assert design.points == tuple({"x.p": p, "x.q": q} for p, q in itertools.product("12", "34"))
     assert chosen("grid").points == ({},)
 
 
 def test_a_latin_hypercube_has_each_part_of_each_range_once() -> None:
-    found = chosen("latin", SMELL, PACE, points=20)
+    design = chosen("latin", SMELL, PACE, points=20)
     for factor in (SMELL, PACE):
-        shares = [(factor.number(p[factor.name]) - factor.low) / (factor.high - factor.low) for p in found.points]
+        shares = [(factor.number(p[factor.name]) - factor.low) / (factor.high - factor.low) for p in design.points]
         assert sorted(math.floor(20 * share) for share in shares) == list(range(20))
     levels = chosen("latin", Factor("ant.kind", ("a", "b", "c", "d")), points=20)
     assert sorted(p["ant.kind"] for p in levels.points) == [k for k in "abcd" for _ in range(5)], "levels have equal shares"
 
 
 def test_a_sobol_sequence_fills_every_cell_of_a_square() -> None:
-    found = chosen("sobol", SMELL, PACE, points=64)
-    assert found.shares is not None
-    cells = {(math.floor(8 * a), math.floor(8 * b)) for a, b in found.shares}
+    design = chosen("sobol", SMELL, PACE, points=64)
+    assert design.shares is not None
+    cells = {(math.floor(8 * a), math.floor(8 * b)) for a, b in design.shares}
     assert len(cells) == 64, "a (0, 6, 2)-net in base 2 has one point in each of 64 cells"
 
 
@@ -92,11 +92,11 @@ def test_one_seed_is_one_design_and_another_is_another(word: str) -> None:
     assert chosen(word, SMELL, PACE, points=8).points == first.points
     assert chosen(word, SMELL, PACE, points=8, seed=2).points != first.points
     design = first.design
-    assert len(first.points) == 8 * (1 if design.more is None else 2 + design.more)
+    assert len(first.points) == 8 * (1 if design.points_per_unit is None else 2 + design.points_per_unit)
     for point in first.points:
         assert 30 <= SMELL.number(point["ant.smell"]) <= 90 and point["ant.smell"].endswith("mm")
         assert len(point["ant.smell"]) <= len("30.12345mm") and "e" not in point["ant.pace"]
-    assert len(first.once) == len({tuple(p.values()) for p in first.points})
+    assert len(first.unique_points) == len({tuple(p.values()) for p in first.points})
 
 
 def test_small_and_large_numbers_are_written_without_powers_of_ten() -> None:
@@ -113,7 +113,7 @@ def test_every_end_is_named_once() -> None:
     ]
 
 
-def test_words_that_do_not_fit_together_are_told_with_what_to_write() -> None:
+def test_options_that_do_not_fit_together_are_reported_with_a_correction() -> None:
     assert "`--vary ant.smell=30mm,60mm,90mm`, or choose points within: `--design latin --points 20`" in refused("grid", SMELL)
     assert "leave out `--points 4`" in refused("grid", Factor("x.p", ("1",)), points=4)
     assert "write `--design latin --points 20`" in refused("latin", SMELL)
@@ -136,40 +136,40 @@ def ishigami(shares: np.ndarray) -> np.ndarray:
     return np.sin(z[:, 0]) + 7 * np.sin(z[:, 1]) ** 2 + 0.1 * z[:, 2] ** 4 * np.sin(z[:, 0])
 
 
-def told_of(word: str, points: int, function, of: int = 3):  # type: ignore[no-untyped-def]
-    found = chosen(word, *(Factor(f"x.p{k}", (), 0.0, 1.0) for k in range(of)), points=points)
-    assert found.shares is not None and found.design.analysis is not None
-    labels = [f"{k}" for k in range(len(found.points))]
-    medians = {(label, "y"): float(value) for label, value in zip(labels, function(found.shares), strict=True)}
-    names = [factor.name for factor in found.factors]
-    return effects(found.design.analysis, names, found.shares, {"scene": labels}, medians, ["y"])
+def analyse(word: str, points: int, function, of: int = 3):  # type: ignore[no-untyped-def]
+    chosen_design = chosen(word, *(Factor(f"x.p{k}", (), 0.0, 1.0) for k in range(of)), points=points)
+    assert chosen_design.shares is not None and chosen_design.design.analysis is not None
+    labels = [f"{k}" for k in range(len(chosen_design.points))]
+    medians = {(label, "y"): float(value) for label, value in zip(labels, function(chosen_design.shares), strict=True)}
+    names = [factor.name for factor in chosen_design.factors]
+    return effects(chosen_design.design.analysis, names, chosen_design.shares, {"scene": labels}, medians, ["y"])
 
 
-def test_sobol_indices_are_those_of_a_function_whose_indices_are_known() -> None:
+def test_sobol_indices_are_the_exact_ones_of_a_known_function() -> None:
     """T. Ishigami, T. Homma: An importance quantification technique in uncertainty analysis (1990)."""
     pytest.importorskip("SALib")
-    found, notes = told_of("saltelli", 1024, ishigami)
+    effect_rows, notes = analyse("saltelli", 1024, ishigami)
     assert not notes
-    assert [e.columns["first_order"] for e in found] == pytest.approx([0.3139, 0.4424, 0.0], abs=0.03)
-    assert [e.columns["total"] for e in found] == pytest.approx([0.5576, 0.4424, 0.2437], abs=0.03)
-    assert all(0 < e.columns["total_95"] < 0.1 for e in found)
+    assert [e.columns["first_order"] for e in effect_rows] == pytest.approx([0.3139, 0.4424, 0.0], abs=0.03)
+    assert [e.columns["total"] for e in effect_rows] == pytest.approx([0.5576, 0.4424, 0.2437], abs=0.03)
+    assert all(0 < e.columns["total_95"] < 0.1 for e in effect_rows)
 
 
 def test_elementary_effects_of_a_sum_are_its_factors() -> None:
     pytest.importorskip("SALib")
-    found, notes = told_of("morris", 10, lambda shares: shares @ np.array([3.0, -1.0, 0.0]))
-    assert not notes and [e.columns["mu_star"] for e in found] == pytest.approx([3, 1, 0])
-    assert [e.columns["mu"] for e in found] == pytest.approx([3, -1, 0]) and [e.columns["sigma"] for e in found] == pytest.approx(
-        [0] * 3
-    )
+    effect_rows, notes = analyse("morris", 10, lambda shares: shares @ np.array([3.0, -1.0, 0.0]))
+    assert not notes and [e.columns["mu_star"] for e in effect_rows] == pytest.approx([3, 1, 0])
+    assert [e.columns["mu"] for e in effect_rows] == pytest.approx([3, -1, 0]) and [
+        e.columns["sigma"] for e in effect_rows
+    ] == pytest.approx([0] * 3)
 
 
 def test_what_a_measure_without_numbers_depends_on_is_not_made_up() -> None:
     pytest.importorskip("SALib")
-    assert "is 2 at all points" in told_of("saltelli", 8, lambda s: np.full(len(s), 2.0))[1][0]
-    assert "never happened" in told_of("saltelli", 8, lambda s: np.where(s[:, 0] < 0.5, math.inf, 1.0))[1][0]
-    found, notes = told_of("saltelli", 8, lambda s: np.where(s[:, 0] < 0.5, math.nan, 1.0))
-    assert not found and "not known at" in notes[0]
+    assert "is 2 at all points" in analyse("saltelli", 8, lambda s: np.full(len(s), 2.0))[1][0]
+    assert "never happened" in analyse("saltelli", 8, lambda s: np.where(s[:, 0] < 0.5, math.inf, 1.0))[1][0]
+    effect_rows, notes = analyse("saltelli", 8, lambda s: np.where(s[:, 0] < 0.5, math.nan, 1.0))
+    assert not effect_rows and "not known at" in notes[0]
 
 
 def test_the_interval_is_the_narrowest_of_its_kind_that_holds_what_it_promises() -> None:
@@ -192,20 +192,20 @@ def test_the_interval_is_that_of_scipy() -> None:
 
 
 def test_looking_again_and_again_misses_the_median_no_more_often_than_promised() -> None:
-    found = looks(60)
-    assert found is not None and found.after[-1] == 60 and found.doubt * len(found.after) == 1 - LEVEL
-    assert all(rank(n, found.doubt) for n in found.after) and least_runs() == 6 and looks(5) is None
+    schedule = looks(60)
+    assert schedule is not None and schedule.run_counts[-1] == 60 and schedule.doubt * len(schedule.run_counts) == 1 - LEVEL
+    assert all(rank(n, schedule.doubt) for n in schedule.run_counts) and least_runs() == 6 and looks(5) is None
     rng, missed, sweeps = np.random.default_rng(7), 0, 2000
     for values in rng.standard_cauchy((sweeps, 60)):
-        for count in found.after:
-            low, high = interval(list(values[:count]), found.doubt) or (-math.inf, math.inf)
+        for count in schedule.run_counts:
+            low, high = interval(list(values[:count]), schedule.doubt) or (-math.inf, math.inf)
             if high - low < 1.0 or count == 60:
                 missed += not low <= 0 <= high
                 break
     assert missed / sweeps < 0.05
 
 
-def made(labels: str, seeds: int) -> list[Job]:
+def make_jobs(labels: str, seeds: int) -> list[Job]:
     return [Job("s.yaml", name, (), seed, (1, 9), (), (), f"{name}{seed}") for seed in range(1, seeds + 1) for name in labels]
 
 
@@ -213,10 +213,10 @@ def test_runs_stop_once_the_median_is_known_in_whatever_order_they_end() -> None
     worth = {"a": lambda seed: 10 + seed % 2 / 10, "b": lambda seed: seed * 7919 % 100}
     ends = []
     for at_once in (1, 3, 7):
-        chooser, running = Chooser(made("ab", 40), [Width("y", 5.0)]), []
-        wanted, ran = chooser.wanted(), 0
+        chooser, running = Chooser(make_jobs("ab", 40), [Width("y", 5.0)]), []
+        job_queue, ran = chooser.needed_jobs(), 0
         while True:
-            while len(running) < at_once and (job := next(wanted, None)) is not None:
+            while len(running) < at_once and (job := next(job_queue, None)) is not None:
                 running.append(job)
                 ran += 1
             if not running:
@@ -232,21 +232,21 @@ def test_runs_stop_once_the_median_is_known_in_whatever_order_they_end() -> None
 
 
 def test_widths_may_be_shares_and_what_never_happens_is_known_too() -> None:
-    assert Width("y", 0.1, share=True).met((95, 104), 100) and not Width("y", 0.1, share=True).met((90, 104), 100)
-    chooser = Chooser(made("a", 40), [Width("y", 1.0)])
-    for job in chooser.wanted():
+    assert Width("y", 0.1, share=True).is_reached((95, 104), 100) and not Width("y", 0.1, share=True).is_reached((90, 104), 100)
+    chooser = Chooser(make_jobs("a", 40), [Width("y", 1.0)])
+    for job in chooser.needed_jobs():
         chooser.heard(job, None if job.seed == 2 else {"y": None})
     (known,) = chooser.known()
     assert known.met and known.median == math.inf and known.runs == len(chooser.counted) < 20
     assert not any(job.seed == 2 for job in chooser.counted), "a run that failed counts nowhere"
 
 
-def test_without_widths_all_runs_are_wanted_and_a_measure_nobody_tells_is_noticed() -> None:
-    chooser = Chooser(made("ab", 2))
-    for job in chooser.wanted():
+def test_without_widths_all_runs_are_requested_and_a_measure_that_no_run_reports_is_noticed() -> None:
+    chooser = Chooser(make_jobs("ab", 2))
+    for job in chooser.needed_jobs():
         chooser.heard(job, {"y": 1})
     assert chooser.counted == list(chooser.jobs) and not chooser.unheard()
-    chooser = Chooser(made("a", 9), [Width("nothing", 1.0), Width("y", 1.0)])
+    chooser = Chooser(make_jobs("a", 9), [Width("nothing", 1.0), Width("y", 1.0)])
     assert chooser.unheard() == []
     chooser.heard(chooser.jobs[0], {"y": 1})
     assert chooser.unheard() == ["nothing"]

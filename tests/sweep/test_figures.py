@@ -57,11 +57,11 @@ def test_no_settings_of_a_project_are_read_and_no_program_is_started(tmp_path: P
         "MPLBACKEND": "module://nothing",
     }
     env["PATH"] = os.pathsep.join([str(project), env.get("PATH", "")])
-    made = subprocess.run(
+    process = subprocess.run(
         [sys.executable, "-P", "-c", _DRAW, str(out)], cwd=project, env=env, capture_output=True, text=True, check=False
     )
-    assert made.returncode == 0, made.stderr
-    opened, started = json.loads(made.stdout)
+    assert process.returncode == 0, process.stderr
+    opened, started = json.loads(process.stdout)
     assert opened and not [each for each in opened if Path(each).is_relative_to(project.resolve())]
     assert started == []
     assert (out / "one.png").read_bytes() == (out / "two.png").read_bytes() != b""

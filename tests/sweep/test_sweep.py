@@ -19,13 +19,13 @@ from antdsl.cli import _run as run_in_process
 from antdsl.executors import Processes
 from antdsl.pipeline import open_scene
 from antdsl.runtime import Built
-from antdsl.sweep import Job, Keeper, Variation, jobs, rows, run_all, variations
+from antdsl.sweep import Job, RunStore, Variation, jobs, rows, run_all, variations
 from antdsl.sweep.designs import choose
 from antdsl.sweep.factors import Factor
 from antdsl.sweep.finished_runs import OtherFiles
 from antdsl.sweep.jobs import beginning, key_of
 from antdsl.sweep.measuring import measure
-from antdsl.sweep.table import NOT_COMPARED, as_csv, quantile, shown, text
+from antdsl.sweep.table import NOT_COMPARED, as_csv, choose_measures, quantile, text
 
 ROOT = Path(__file__).resolve().parents[2]
 PROGRAM = """ant 1
@@ -58,17 +58,17 @@ def folder(tmp_path: Path) -> Path:
     return tmp_path
 
 
-def made(folder: Path, seeds: range = range(1, 3), until: tuple[str, ...] = (), **vary: tuple[str, ...]) -> list[Job]:
+def make_jobs(folder: Path, seeds: range = range(1, 3), until: tuple[str, ...] = (), **vary: tuple[str, ...]) -> list[Job]:
     points = grid(**vary)
-    found, report = jobs(variations([folder / "scene.yaml"], points), seeds, frames=None, until=until, grants={})
+    job_list, report = jobs(variations([folder / "scene.yaml"], points), seeds, frames=None, until=until, grants={})
     assert report.ok, report.errors
-    return found
+    return job_list
 
 
 def grid(**vary: tuple[str, ...]) -> list[Mapping[str, str]]:
     chosen, _ = choose("grid", [Factor(f"walker.{name}", values) for name, values in vary.items()], None, 1)
     assert chosen is not None
-    return chosen.once
+    return chosen.unique_points
 
 
 def same(measures: dict[str, object] | None) -> dict[str, object]:
@@ -83,50 +83,50 @@ def test_every_combination_with_every_seed_seed_by_seed() -> None:
 
 
 def test_a_key_tells_runs_apart_and_finds_them_again(folder: Path) -> None:
-    first = made(folder, smell=("30mm", "60mm"))
+    first = make_jobs(folder, smell=("30mm", "60mm"))
     assert [(job.seed, job.label) for job in first] == [(s, f"smell {v}") for s in (1, 2) for v in ("30mm", "60mm")]
     assert len({job.key for job in first}) == 4
-    assert [job.key for job in made(folder, smell=("30mm", "60mm"))] == [job.key for job in first]
-    assert not {job.key for job in made(folder, until=("food.load",), smell=("30mm", "60mm"))} & {job.key for job in first}
+    assert [job.key for job in make_jobs(folder, smell=("30mm", "60mm"))] == [job.key for job in first]
+    assert not {job.key for job in make_jobs(folder, until=("food.load",), smell=("30mm", "60mm"))} & {job.key for job in first}
     (folder / "walker.ant").write_text(PROGRAM.replace("touching(meal)", "distance(meal) < 14 mm"))
-    assert not {job.key for job in made(folder, smell=("30mm", "60mm"))} & {job.key for job in first}
+    assert not {job.key for job in make_jobs(folder, smell=("30mm", "60mm"))} & {job.key for job in first}
 
 
 def test_a_key_is_that_of_the_scene_opened_by_itself(folder: Path) -> None:
     """Where a run is made the scene is opened anew, and refused where its key is another."""
-    for job in made(folder, smell=("30mm", "60mm")):
+    for job in make_jobs(folder, smell=("30mm", "60mm")):
         shot, _ = open_scene(folder / "scene.yaml", job.choices())
         assert shot is not None and key_of(shot, job.seed, job.until, beginning(shot)) == job.key
 
 
-def test_what_is_wrong_is_told_before_anything_runs(folder: Path) -> None:
+def test_mistakes_are_reported_before_anything_runs(folder: Path) -> None:
     chosen = variations([folder / "scene.yaml"], grid(smell=("60mm", "4s", "4m")))
     _, report = jobs(chosen, range(1, 3), frames=None, until=("food.lod",), grants={})
     assert sorted(d.code for d in report.errors) == ["out-of-range", "unknown-thing", "wrong-unit"]
 
 
 def test_processes_change_no_result_and_a_run_that_fails_stops_no_other(folder: Path) -> None:
-    good = made(folder, until=("food.apple.load",))
-    gone = replace(good[0], scene=str(folder / "gone.yaml"), label="gone", key="0")
-    outcomes = {outcome.job.key: outcome for outcome in run_all([gone, *good], Processes(2, 1))}
+    good = make_jobs(folder, until=("food.apple.load",))
+    missing_job = replace(good[0], scene=str(folder / "gone.yaml"), label="gone", key="0")
+    outcomes = {outcome.job.key: outcome for outcome in run_all([missing_job, *good], Processes(2, 1))}
     assert outcomes["0"].measures is None and "there is no file" in outcomes["0"].problem
     for job in good:
         assert same(outcomes[job.key].measures) == same(measure(job, 3, Built(), lambda frame: None))
-    found = outcomes[good[0].key].measures
-    assert found is not None and found["frames"] == found["empty.food.apple.load"] < 30, "ended once it was empty"
-    assert found["empty.food.far.load"] is None and found["left.food.far.load"] == 3
-    assert found["items.food.load"] == 3 and found["transitions.walker.look->go"] >= 3
+    measures = outcomes[good[0].key].measures
+    assert measures is not None and measures["frames"] == measures["empty.food.apple.load"] < 30, "ended once it was empty"
+    assert measures["empty.food.far.load"] is None and measures["left.food.far.load"] == 3
+    assert measures["items.food.load"] == 3 and measures["transitions.walker.look->go"] >= 3
 
 
 def test_a_job_goes_to_another_process_as_json(folder: Path) -> None:
-    for job in made(folder, smell=("30mm",), until=("food.load",)):
+    for job in make_jobs(folder, smell=("30mm",), until=("food.load",)):
         assert Job.of(json.loads(json.dumps(job.document()))) == job
 
 
 @pytest.mark.slow
 def test_a_process_that_is_killed_costs_no_other_run(folder: Path) -> None:
     """Both runs under way are done again, one at a time; the one whose process is killed each time is given up."""
-    long = replace(made(folder)[0], frames=(1, 900_000), key="long")
+    long = replace(make_jobs(folder)[0], frames=(1, 900_000), key="long")
     hit: list[int] = []
 
     def kill(job: Job, frame: int) -> None:
@@ -135,7 +135,7 @@ def test_a_process_that_is_killed_costs_no_other_run(folder: Path) -> None:
             hit.append(child.pid)
             os.kill(child.pid, signal.SIGKILL)
 
-    outcomes = list(run_all([long, *made(folder)], Processes(2, 1), kill))
+    outcomes = list(run_all([long, *make_jobs(folder)], Processes(2, 1), kill))
     assert {outcome.job.key for outcome in outcomes if outcome.measures is None} == {"long"} and len(outcomes) == 3
     problem = next(outcome.problem for outcome in outcomes if outcome.measures is None)
     assert "SIGKILL" in problem and len(hit) >= 2 and not multiprocessing.active_children()
@@ -151,22 +151,22 @@ def test_what_never_happened_counts_as_later_than_everything() -> None:
     table = rows([*results, (job, {"empty.food.apple.load": 7})])
     assert [(r.measure, r.runs, r.happened) for r in table] == [("empty.food.apple.load", 4, 2), ("x.y", 4, 4)]
     assert table[0].least == 5 and table[0].median == inf and table[1].least == 0, "what a run does not tell is 0"
-    words = text(table, shown(table, ()))
+    words = text(table, choose_measures(table, ()))
     assert "never (6.5 – never), 2 of 4" in words and "food.apple.load 0 at" in words and "x.y" not in words
     lines = list(csv.DictReader(as_csv(table).splitlines()))
     assert lines[0]["median"] == "" and lines[0]["least"] == "5" and lines[1]["median"] == "2"
 
 
-def test_only_whole_results_of_this_very_run_are_kept(folder: Path) -> None:
-    job = made(folder)[0]
-    keeper = Keeper(folder / "out")
-    assert keeper.kept(job) is None
-    keeper.keep(job, {"frames": 3})
-    assert keeper.kept(job) == {"frames": 3} and Keeper(folder / "out").kept(job) == {"frames": 3}
-    keeper.path(job).write_text(keeper.path(job).read_text()[:-30])
-    assert keeper.kept(job) is None
+def test_only_complete_results_of_this_very_run_are_stored(folder: Path) -> None:
+    job = make_jobs(folder)[0]
+    run_store = RunStore(folder / "out")
+    assert run_store.read_measures(job) is None
+    run_store.keep(job, {"frames": 3})
+    assert run_store.read_measures(job) == {"frames": 3} and RunStore(folder / "out").read_measures(job) == {"frames": 3}
+    run_store.path(job).write_text(run_store.path(job).read_text()[:-30])
+    assert run_store.read_measures(job) is None
     with pytest.raises(OtherFiles):
-        Keeper(folder)
+        RunStore(folder)
 
 
 def test_the_command_goes_on_where_it_was_stopped(
@@ -175,21 +175,21 @@ def test_the_command_goes_on_where_it_was_stopped(
     def sweep(*words: str) -> tuple[int, str, str]:
         monkeypatch.setattr("sys.argv", ["antdsl", "sweep", str(folder / "scene.yaml"), *words])
         code = run_in_process()
-        told = capsys.readouterr()
-        return code, told.out, told.err
+        output = capsys.readouterr()
+        return code, output.out, output.err
 
     monkeypatch.setattr("antdsl.sweep.run_all", lambda *_: (_ for _ in ()).throw(KeyboardInterrupt))
     code, _, err = sweep("--seeds", "2")
     assert code == 130 and "0 of 2 runs are finished" in err and "the same command goes on" in err
     monkeypatch.undo()
     out = folder / "out" / "sweep"
-    (job, _) = made(folder)
-    Keeper(out).keep(job, {"frames": 30, "empty.food.apple.load": 11})
-    code, told, _ = sweep("--seeds", "2", "--jobs", "1", "--no-plots")
-    assert code == 0 and "1 of 2 runs were finished before" in told and "1 of 1: scene, seed 2, 30 frames" in told
+    (job, _) = make_jobs(folder)
+    RunStore(out).keep(job, {"frames": 30, "empty.food.apple.load": 11})
+    code, output, _ = sweep("--seeds", "2", "--jobs", "1", "--no-plots")
+    assert code == 0 and "1 of 2 runs were finished before" in output and "1 of 1: scene, seed 2, 30 frames" in output
     document = json.loads((out / "sweep.json").read_text())
     assert [run["seed"] for run in document["runs"]] == [1, 2] and document["runs"][0]["measures"]["frames"] == 30
-    assert (out / "table.txt").read_text() in told and (out / "runs.csv").read_text().count("\n") == 3
+    assert (out / "table.txt").read_text() in output and (out / "runs.csv").read_text().count("\n") == 3
     assert sweep("--seeds", "3..2")[0] == 2 and sweep("--vary", "walker.smell=1mm,,2mm")[0] == 2
     code, _, err = sweep("--seeds", "2", "--show", "nothing", "--quiet")
     assert code == 2 and "no measure begins with `nothing`" in err

@@ -40,8 +40,8 @@ Sweep = Callable[..., tuple[int, str, str]]
 
 def formula(job: Job) -> dict[str, float | int | None]:
     """Pace counts three times what swing does; seeds add a little."""
-    given = dict(job.params)
-    pace, swing = float(given.get("walker.pace", "30mm/s").removesuffix("mm/s")), float(given.get("walker.swing", "0.5"))
+    params = dict(job.params)
+    pace, swing = float(params.get("walker.pace", "30mm/s").removesuffix("mm/s")), float(params.get("walker.swing", "0.5"))
     value = 3 * (pace - 10) / 80 + swing + job.seed % 3 * 0.01
     return {"frames": 30, "motion.turn": value, "motion.step": 1.0, "empty.food": None if swing > 0.5 else 3}
 
@@ -57,7 +57,7 @@ def folder(tmp_path: Path) -> Path:
 @pytest.fixture
 def sweep(folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Sweep:
     def ran(*words: str, ends_after: int | None = None, by: int = signal.SIGTERM) -> tuple[int, str, str]:
-        def run_all(jobs: Iterable[Job], *more: object) -> Iterator[Outcome]:
+        def run_all(jobs: Iterable[Job], *options: object) -> Iterator[Outcome]:
             for count, job in enumerate(jobs):
                 if count == ends_after:
                     signal.raise_signal(by)
@@ -67,8 +67,8 @@ def sweep(folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureF
         monkeypatch.chdir(folder)
         monkeypatch.setattr("sys.argv", ["antdsl", "sweep", *words, "--no-plots"])
         code = run_in_process()
-        told = capsys.readouterr()
-        return code, told.out, told.err
+        output = capsys.readouterr()
+        return code, output.out, output.err
 
     return ran
 
@@ -78,10 +78,10 @@ def lines(path: Path) -> list[dict[str, str]]:
 
 
 def test_a_latin_hypercube_is_run_point_by_point_and_its_values_are_columns(sweep: Sweep, folder: Path) -> None:
-    code, told, _ = sweep(
+    code, output, _ = sweep(
         "scene.yaml", *PACE, *SWING, "--design", "latin", "--points", "62", "--seeds", "1", "--show", "motion.turn"
     )
-    assert code == 0 and "62 of 62" in told and "… and 2 lines more, in table.txt" in told
+    assert code == 0 and "62 of 62" in output and "… and 2 lines more, in table.txt" in output
     runs = lines(folder / "out" / "sweep" / "runs.csv")
     assert len(runs) == 62 == len({run["walker.pace (mm/s)"] for run in runs})
     assert all(10 <= float(run["walker.pace (mm/s)"]) <= 90 and 0 <= float(run["walker.swing"]) <= 1 for run in runs)
@@ -90,32 +90,32 @@ def test_a_latin_hypercube_is_run_point_by_point_and_its_values_are_columns(swee
 def test_saltellis_sample_tells_which_share_of_the_variance_each_param_makes(sweep: Sweep, folder: Path) -> None:
     pytest.importorskip("SALib")
     words = (*PACE, *SWING, "--design", "saltelli", "--points", "16", "--seeds", "1", "--show", "motion", "--show", "empty")
-    code, told, err = sweep("scene.yaml", *words)
-    assert code == 0 and "Sobol indices" in told
-    found = {line["factor"]: line for line in lines(folder / "out" / "sweep" / "sensitivity.csv")}
-    assert float(found["walker.pace"]["total"]) == pytest.approx(0.9, abs=0.15)
-    assert float(found["walker.swing"]["total"]) == pytest.approx(0.1, abs=0.15)
+    code, output, err = sweep("scene.yaml", *words)
+    assert code == 0 and "Sobol indices" in output
+    line_by_factor = {line["factor"]: line for line in lines(folder / "out" / "sweep" / "sensitivity.csv")}
+    assert float(line_by_factor["walker.pace"]["total"]) == pytest.approx(0.9, abs=0.15)
+    assert float(line_by_factor["walker.swing"]["total"]) == pytest.approx(0.1, abs=0.15)
     assert "motion.step is 1 at all points" in err and "empty.food never happened at" in err
     document = json.loads((folder / "out" / "sweep" / "sweep.json").read_text())
     assert [effect["factor"] for effect in document["sensitivity"]] == ["walker.pace", "walker.swing"]
 
 
 def test_a_sweep_stops_once_medians_are_known(sweep: Sweep, folder: Path) -> None:
-    code, told, _ = sweep(
+    code, output, _ = sweep(
         "scene.yaml", "--vary", "walker.pace=10mm/s,90mm/s", "--seeds", "60", "--until-known", "motion.turn=0.1"
     )
-    assert code == 0 and "of at most 120" in told and "Medians, with 95 % between" in told
+    assert code == 0 and "of at most 120" in output and "Medians, with 95 % between" in output
     document = json.loads((folder / "out" / "sweep" / "sweep.json").read_text())
     assert len(document["runs"]) < 30 and [known["met"] for known in document["medians"]] == [True, True]
     for known in document["medians"]:
         assert known["low"] <= known["median"] <= known["high"] <= known["low"] + 0.1
-    code, told, err = sweep("scene.yaml", "--seeds", "60", "--until-known", "motion.turn=0.001%")
-    assert code == 0 and "not as close as requested" in told
+    code, output, err = sweep("scene.yaml", "--seeds", "60", "--until-known", "motion.turn=0.001%")
+    assert code == 0 and "not as close as requested" in output
     code, _, err = sweep("scene.yaml", "--seeds", "9", "--again", "--until-known", "moton=1")
     assert code == 2 and "no measure begins with `moton`" in err and "motion" in err
 
 
-def test_a_sweep_that_was_ended_goes_on_as_it_was_asked(sweep: Sweep, folder: Path) -> None:
+def test_a_sweep_that_was_ended_goes_on_as_requested(sweep: Sweep, folder: Path) -> None:
     words = ("scene.yaml", *PACE, "--design", "sobol", "--points", "8", "--seeds", "2", "--out", "kept/swept")
     assert sweep(*words, "--out", "whole")[0] == 0
     code, _, err = sweep(*words, ends_after=5)
@@ -124,11 +124,11 @@ def test_a_sweep_that_was_ended_goes_on_as_it_was_asked(sweep: Sweep, folder: Pa
     os.rename(folder / "kept", folder / "moved")
     for name in ("scene.yaml", "walker.ant", "ground.ply"):
         assert (folder / name).is_file()
-    code, told, _ = sweep("--resume", "--out", "moved/swept")
-    assert code == 0 and "10 of 16 runs were finished before" in told
+    code, output, _ = sweep("--resume", "--out", "moved/swept")
+    assert code == 0 and "10 of 16 runs were finished before" in output
     assert (folder / "moved" / "swept" / "runs.csv").read_text() == (folder / "whole" / "runs.csv").read_text()
     (folder / "walker.ant").write_text(PROGRAM + "\n# another\n")
-    code, told, err = sweep("--resume", "--out", "moved/swept")
+    code, output, err = sweep("--resume", "--out", "moved/swept")
     assert code == 0 and "16 runs in moved/swept are of files, values or sources of antdsl that are others now" in err
 
 
@@ -150,26 +150,28 @@ def test_a_sweep_that_was_ended_goes_on_as_it_was_asked(sweep: Sweep, folder: Pa
         (("scene.yaml", "--until-known", "motion=1"), 2, "--seeds 50"),
     ],
 )
-def test_words_that_do_not_fit_are_told_before_anything_runs(sweep: Sweep, words: tuple[str, ...], code: int, says: str) -> None:
-    found, _, err = sweep(*words, ends_after=0)
-    assert found == code and says in err, err
+def test_options_that_do_not_fit_are_reported_before_anything_runs(
+    sweep: Sweep, words: tuple[str, ...], code: int, says: str
+) -> None:
+    exit_code, _, err = sweep(*words, ends_after=0)
+    assert exit_code == code and says in err, err
 
 
-def test_a_damaged_or_foreign_asked_file_is_told(sweep: Sweep, folder: Path) -> None:
+def test_a_damaged_or_foreign_request_file_is_reported(sweep: Sweep, folder: Path) -> None:
     assert sweep("scene.yaml", "--seeds", "1", "--out", "swept")[0] == 0
-    asked = folder / "swept" / "asked.json"
+    request_path = folder / "swept" / "asked.json"
     for text in (
         "{",
         "[]",
         '{"scenes": []}',
-        asked.read_text().replace('"grid"', "3"),
-        asked.read_text().replace("{", '{"more": 1,', 1),
-        asked.read_text().replace('"grid"', '"gird"'),
-        asked.read_text().replace('"grid"', '"latin"').replace("null", "-4", 1),
-        asked.read_text().replace('"design_seed": 1', '"design_seed": -1'),
-        asked.read_text().replace("scene.yaml", "scene\\u0000.yaml"),
+        request_path.read_text().replace('"grid"', "3"),
+        request_path.read_text().replace("{", '{"more": 1,', 1),
+        request_path.read_text().replace('"grid"', '"gird"'),
+        request_path.read_text().replace('"grid"', '"latin"').replace("null", "-4", 1),
+        request_path.read_text().replace('"design_seed": 1', '"design_seed": -1'),
+        request_path.read_text().replace("scene.yaml", "scene\\u0000.yaml"),
     ):
-        asked.write_text(text)
+        request_path.write_text(text)
         code, _, err = sweep("--resume", "--out", "swept")
         assert code == 3 and "asked.json` is damaged" in err
 
@@ -197,8 +199,8 @@ def test_the_table_is_parquet_too_with_numbers_as_numbers(sweep: Sweep, folder: 
 def test_runs_of_other_sources_do_not_count(sweep: Sweep, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     assert sweep("scene.yaml", "--seeds", "3", "--out", "swept")[0] == 0
     monkeypatch.setattr(importlib.import_module("antdsl.sweep.jobs"), "sources", lambda: "0" * 24)
-    code, told, err = sweep("--resume", "--out", "swept")
-    assert code == 0 and "finished before" not in told and "3 of 3" in told
+    code, output, err = sweep("--resume", "--out", "swept")
+    assert code == 0 and "finished before" not in output and "3 of 3" in output
     assert "3 runs in swept are of files, values or sources of antdsl that are others now" in err
 
 

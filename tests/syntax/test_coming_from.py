@@ -40,8 +40,8 @@ def test_the_five_do_what_the_page_says_whatever_the_frame_rate(tmp_path: Path, 
     (tmp_path / "five.ant").write_text(HEAD + "\n".join(blocks), encoding="utf-8")
     (tmp_path / "scene.yaml").write_text(SCENE.format(fps=fps), encoding="utf-8")
     (tmp_path / "ground.ply").write_bytes(ground())
-    done = commands.run("test", "five.ant", cwd=tmp_path)
-    assert done.returncode == 0 and "1 passed" in done.stdout, done.stdout + done.stderr
+    process = commands.run("test", "five.ant", cwd=tmp_path)
+    assert process.returncode == 0 and "1 passed" in process.stdout, process.stdout + process.stderr
 
 
 def test_each_behaviour_is_there_in_each_language() -> None:

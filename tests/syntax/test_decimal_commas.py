@@ -24,7 +24,7 @@ AROUND = (
 )
 
 
-def told(text: str) -> list[Diagnostic]:
+def find_errors(text: str) -> list[Diagnostic]:
     file, report = parse(Source("a.ant", text))
     report.extend(check(file, library)[1])
     return report.errors
@@ -45,11 +45,11 @@ def numbers(path: Path) -> Iterator[tuple[int, int]]:
 def test_any_number_written_with_a_comma_is_one_error_there(path: Path) -> None:
     """A handful of each file; whether it can be mended at a stroke depends on whether two arguments could have been meant."""
     text = path.read_text(encoding="utf-8")
-    found = list(numbers(path))
-    for start, end in found[:: len(found) // 6 + 1]:
+    number_spans = list(numbers(path))
+    for start, end in number_spans[:: len(number_spans) // 6 + 1]:
         number = text[start:end]
         comma = number.replace(".", ",") if "." in number else f"{number},0"
-        errors = told(text[:start] + comma + text[end:])
+        errors = find_errors(text[:start] + comma + text[end:])
         assert [error.code for error in errors] == ["bad-number"], (text[start - 30 : end + 9], [e.message for e in errors])
         (error,) = errors
         assert error.span is not None and (error.span.start, error.span.text) == (start, comma)
@@ -77,7 +77,7 @@ LISTS += [
 
 @pytest.mark.parametrize("line", LISTS)
 def test_a_comma_between_two_values_needs_no_blank(line: str) -> None:
-    assert told(AROUND.format(f"enter {{ {line} }}" if "steer" not in line else line)) == []
+    assert find_errors(AROUND.format(f"enter {{ {line} }}" if "steer" not in line else line)) == []
 
 
 MENDED = {
@@ -107,7 +107,7 @@ MENDED = {
 @pytest.mark.parametrize("line", MENDED)
 def test_what_can_be_meant_by_one_thing_alone_is_mended(line: str) -> None:
     text = AROUND.format(f"enter {{ {line} }}")
-    (error,) = told(text)
+    (error,) = find_errors(text)
     assert error.code == "bad-number" and error.help and error.span is not None and "," in error.span.text
     mended = MENDED[line]
     assert (error.fix is None) == (mended is None)
@@ -120,16 +120,16 @@ def test_what_can_be_meant_by_one_thing_alone_is_mended(line: str) -> None:
 @pytest.mark.parametrize(
     ("line", "instead"), [("clamp(calm, 0, 1)", "0 .. 1"), ("clamp(calm,0,1)", "0 .. 1"), ("rising(calm, 0.1, 1)", "0.1 .. 1")]
 )
-def test_two_values_for_a_range_are_told_as_a_range(line: str, instead: str) -> None:
+def test_two_values_for_a_range_are_reported_as_a_range(line: str, instead: str) -> None:
     text = AROUND.format(f"enter {{ calm = {line} }}")
-    (error,) = told(text)
+    (error,) = find_errors(text)
     assert error.code == "wrong-arity" and error.fix is not None and f"`{instead}`" in (error.help or "")
-    assert told(text[: error.fix.span.start] + error.fix.text + text[error.fix.span.end :]) == []
+    assert find_errors(text[: error.fix.span.start] + error.fix.text + text[error.fix.span.end :]) == []
 
 
 def test_a_behaviour_keeps_its_arguments() -> None:
     text = "ant 1\nbehaviour f(a: number = 0,4, b: number = 1.5) -> push { heading * a * b }\n"
-    assert [(e.code, e.fix.text if e.fix else "") for e in told(text)] == [("bad-number", "0.4")]
+    assert [(e.code, e.fix.text if e.fix else "") for e in find_errors(text)] == [("bad-number", "0.4")]
 
 
 @pytest.mark.parametrize(
@@ -151,6 +151,6 @@ def test_a_scene_says_it_too(scene: str, help: str) -> None:
     assert len(report.errors) == 1 and help in (report.errors[0].help or ""), report.errors
 
 
-def test_what_else_is_wrong_with_a_number_is_told_with_a_dot() -> None:
-    errors = told(AROUND.format("when chance 0,4 -> go"))
+def test_what_else_is_wrong_with_a_number_is_reported_with_a_dot() -> None:
+    errors = find_errors(AROUND.format("when chance 0,4 -> go"))
     assert [error.code for error in errors] == ["bad-number", "not-a-rate"] and "`chance 0.4 /s`" in (errors[1].help or "")

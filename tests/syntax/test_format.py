@@ -17,9 +17,9 @@ from antdsl.syntax.formatting.lines import WIDTH
 
 
 def formatted(text: str) -> str:
-    found, report = format(Source("t.ant", text))
-    assert found is not None, [(d.code, d.message, str(d.span)) for d in report.diagnostics]
-    return found
+    new_text, report = format(Source("t.ant", text))
+    assert new_text is not None, [(d.code, d.message, str(d.span)) for d in report.diagnostics]
+    return new_text
 
 
 def meaning(text: str) -> list[str]:
@@ -36,13 +36,15 @@ def holds(seed: int) -> bool:
     other = layout.again(text)
     if not parse(Source("t.ant", other))[1].ok:
         return False
-    once = formatted(other)
-    assert formatted(once) == once, seed
-    assert meaning(once) == meaning(text), seed
-    assert [each.rstrip() for each in re.findall(r"# c\d+.*", once)] == layout.comments, seed
-    assert "\n\n\n" not in once and not re.search(r"[ \t\r]$", once, re.M) and "\t" not in re.sub(r'"[^"\n]*"|#.*', "", once), (
-        seed
-    )
+    formatted_text = formatted(other)
+    assert formatted(formatted_text) == formatted_text, seed
+    assert meaning(formatted_text) == meaning(text), seed
+    assert [each.rstrip() for each in re.findall(r"# c\d+.*", formatted_text)] == layout.comments, seed
+    assert (
+        "\n\n\n" not in formatted_text
+        and not re.search(r"[ \t\r]$", formatted_text, re.M)
+        and "\t" not in re.sub(r'"[^"\n]*"|#.*', "", formatted_text)
+    ), seed
     plain = formatted(text)
     assert formatted(Layout(rng, free=False).again(re.sub(r"#.*", "", text))) == formatted(re.sub(r"#.*", "", plain)), seed
     return True
@@ -148,11 +150,11 @@ let c = min(
 
 @pytest.mark.parametrize("name", CASES)
 def test_layout(name: str) -> None:
-    before, after = CASES[name]
+    messy_lines, expected_lines = CASES[name]
     start, end = "ant 1\nspecies a {\n", "}\n"
-    wanted = start + "".join(f"  {line}\n" if line else "\n" for line in after.splitlines()) + end
-    assert formatted(f"{start}{before}\n{end}") == wanted
-    assert formatted(wanted) == wanted
+    expected = start + "".join(f"  {line}\n" if line else "\n" for line in expected_lines.splitlines()) + end
+    assert formatted(f"{start}{messy_lines}\n{end}") == expected
+    assert formatted(expected) == expected
 
 
 def test_names_of_arguments_may_be_words_that_begin_lines() -> None:
@@ -176,7 +178,7 @@ def test_a_text_that_only_has_warnings_is_formatted() -> None:
     assert text == "species a { size 4 mm }\n" and [d.code for d in report.diagnostics] == ["missing-edition"]
 
 
-def test_nobody_gets_a_text_that_means_something_else(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_text_that_means_something_else_is_never_returned(monkeypatch: pytest.MonkeyPatch) -> None:
     for wrong in (
         "ant 1\nspecies a { size 5 mm }\n# c\n",
         "ant 1\nspecies a { size 4 mm }\n",
@@ -190,11 +192,11 @@ def test_nobody_gets_a_text_that_means_something_else(monkeypatch: pytest.Monkey
 def test_what_could_not_be_read_again_is_not_written(monkeypatch: pytest.MonkeyPatch) -> None:
     text = 'ant 1\nspecies a {\n  let b = min(x,\n    y) "' + "x" * 1985 + '"\n}\n'
     assert parse(Source("t.ant", text))[1].ok
-    found, report = format(Source("t.ant", text))
-    assert found is None and [d.code for d in report.errors] == ["line-too-long"]
+    new_text, report = format(Source("t.ant", text))
+    assert new_text is None and [d.code for d in report.errors] == ["line-too-long"]
     monkeypatch.setattr("antdsl.limits.ANT_FILE_BYTES", 200)
-    found, report = format(Source("t.ant", "ant 1\nspecies a {" + "x=1;" * 45 + "y=1}"))
-    assert found is None and [d.code for d in report.errors] == ["file-too-large"]
+    new_text, report = format(Source("t.ant", "ant 1\nspecies a {" + "x=1;" * 45 + "y=1}"))
+    assert new_text is None and [d.code for d in report.errors] == ["file-too-large"]
 
 
 def test_a_difference_is_named() -> None:
@@ -259,8 +261,8 @@ def sample(block: Block) -> str | None:
 
 @pytest.mark.parametrize("block", of_kind("ant"), ids=str)
 def test_samples_have_the_one_layout(block: Block) -> None:
-    found = sample(block)
-    assert found is None or found == block.text
+    expected = sample(block)
+    assert expected is None or expected == block.text
 
 
 def test_most_samples_are_looked_at() -> None:

@@ -20,16 +20,16 @@ TEXTS = {
 @pytest.mark.parametrize("name", TEXTS)
 def test_blanks_cost_no_more_than_once_each(name: str) -> None:
     """With the square of their number this would take half an hour."""
-    pattern, before, after, is_match = TEXTS[name]
-    found = pattern.search(before + " " * BLANKS + after)
-    assert (found is not None) == is_match
-    short = pattern.search(f"{before} {after}")
+    pattern, prefix, suffix, is_match = TEXTS[name]
+    match = pattern.search(prefix + " " * BLANKS + suffix)
+    assert (match is not None) == is_match
+    short = pattern.search(f"{prefix} {suffix}")
     assert (short is not None) == is_match
 
 
 def test_a_plain_key_ends_before_the_blanks() -> None:
-    found = indentation._KEY.match("two words  : 1")
-    assert found is not None and found[1] == "two words"
+    match = indentation._KEY.match("two words  : 1")
+    assert match is not None and match[1] == "two words"
     assert [indentation._KEY.match(text) is not None for text in ("a:", "a :x", "'q: r' : 1", ": x", "-a: 1")] == [
         True, False, True, False, False,
     ]  # fmt: skip

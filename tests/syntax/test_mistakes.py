@@ -20,10 +20,10 @@ from antdsl.syntax.scan import scan
 ROOT = Path(__file__).resolve().parents[2]
 ROWS: list[dict[str, Any]] = yaml.safe_load((ROOT / "tests/cases/mistakes/foraging.yaml").read_text(encoding="utf-8"))
 FORAGER = (ROOT / "examples/foraging/forager.ant").read_text(encoding="utf-8")
-HERE = "‸"
+MARK = "‸"
 
 
-def told(text: str) -> Report:
+def diagnose(text: str) -> Report:
     file, report = parse(Source("forager.ant", text))
     report.extend(check(file, library)[1])
     return report
@@ -31,38 +31,38 @@ def told(text: str) -> Report:
 
 def place_of(text: str, within: str) -> int:
     """Where the mark stands when `text`, with any blanks between its words, is found in `within`."""
-    before, _, after = text.partition(HERE)
-    pattern = r"\s+".join(re.escape(word) for word in before.split())
-    gap = r"\s*" if before[-1:].isspace() or after[:1].isspace() else ""
-    rest = r"\s+".join(re.escape(word) for word in after.split())
-    found = re.search(f"({pattern}{gap}){rest}", within)
-    assert found, text
-    return found.end(1)
+    prefix, _, suffix = text.partition(MARK)
+    pattern = r"\s+".join(re.escape(word) for word in prefix.split())
+    gap = r"\s*" if prefix[-1:].isspace() or suffix[:1].isspace() else ""
+    rest = r"\s+".join(re.escape(word) for word in suffix.split())
+    match = re.search(f"({pattern}{gap}){rest}", within)
+    assert match, text
+    return match.end(1)
 
 
 def test_the_foraging_file_is_clean_and_the_table_is_long() -> None:
-    assert told(FORAGER).diagnostics == []
+    assert diagnose(FORAGER).diagnostics == []
     assert len(ROWS) >= 60 and sum(row.get("left") == [] for row in ROWS) >= 60
 
 
-@pytest.mark.parametrize("row", ROWS, ids=lambda row: f"{row['code']}: {row['new'].replace(HERE, '')}"[:60])
+@pytest.mark.parametrize("row", ROWS, ids=lambda row: f"{row['code']}: {row['new'].replace(MARK, '')}"[:60])
 def test_one_mistake_is_one_error_at_its_place(row: dict[str, Any]) -> None:
     pattern = r"\s+".join(re.escape(word) for word in row["old"].split())
-    found = re.search(pattern, FORAGER)
-    assert found, row["old"]
-    new = row["new"].replace(HERE, "")
-    text = FORAGER[: found.start()] + new + FORAGER[found.end() :]
-    report = told(text)
+    match = re.search(pattern, FORAGER)
+    assert match, row["old"]
+    new = row["new"].replace(MARK, "")
+    text = FORAGER[: match.start()] + new + FORAGER[match.end() :]
+    report = diagnose(text)
     assert [error.code for error in report.errors] == [row["code"]], [error.message for error in report.errors]
     (error,) = report.errors
     assert error.span is not None and error.help
-    wanted = place_of(row["at"], text) if "at" in row else found.start() + row["new"].index(HERE)
+    expected_start = place_of(row["at"], text) if "at" in row else match.start() + row["new"].index(MARK)
     line, column = error.span.source.line_column(error.span.start)
-    assert (line, column) == error.span.source.line_column(wanted), error.message
+    assert (line, column) == error.span.source.line_column(expected_start), error.message
     assert (error.fix is not None) == ("left" in row), error.help
     if error.fix is not None:
         mended = text[: error.fix.span.start] + error.fix.text + text[error.fix.span.end :]
-        assert sorted({each.code for each in told(mended).diagnostics}) == row["left"], mended
+        assert sorted({each.code for each in diagnose(mended).diagnostics}) == row["left"], mended
 
 
 def without_a_token(path: Path, every: int) -> Iterator[tuple[int, int]]:
@@ -71,7 +71,7 @@ def without_a_token(path: Path, every: int) -> Iterator[tuple[int, int]]:
     text = path.read_text(encoding="utf-8")
     tokens = [token for token in scan(Source(path.name, text), Report()).tokens if token.end > token.start]
     for token in tokens[::every]:
-        report = told(text[: token.start] + text[token.end :])
+        report = diagnose(text[: token.start] + text[token.end :])
         assert not [each.message for each in report.diagnostics if "is a bad" in each.message], (path, token.start)
         yield token.start, len(report.errors)
 

@@ -33,12 +33,12 @@ def _chunks() -> dict[str, str]:
 
 
 def _expected(text: str) -> list[Expected]:
-    found = []
+    complaints = []
     for number, line in enumerate(text.split("\n"), 1):
         match = _EXPECTED.search(line)
         if match:
-            found.append(Expected(number, match[1], match[2], match[3], match[4] or ""))
-    return found
+            complaints.append(Expected(number, match[1], match[2], match[3], match[4] or ""))
+    return complaints
 
 
 @pytest.mark.parametrize("name", _chunks())
@@ -47,11 +47,11 @@ def test_complaints(name: str) -> None:
     _, report = parse(Source(name, text))
     expected = _expected(text)
     assert expected, "a chunk without an expected complaint tests nothing"
-    found = []
+    complaints = []
     for diagnostic in report.sorted():
         assert diagnostic.span is not None
-        found.append((diagnostic.span.source.line_column(diagnostic.span.start)[0], diagnostic.severity, diagnostic.code))
-    assert found == [(e.line, e.severity, e.code) for e in expected], render(report)
+        complaints.append((diagnostic.span.source.line_column(diagnostic.span.start)[0], diagnostic.severity, diagnostic.code))
+    assert complaints == [(e.line, e.severity, e.code) for e in expected], render(report)
     for diagnostic, want in zip(report.sorted(), expected, strict=True):
         assert want.message in diagnostic.message, diagnostic.message
         assert want.help in (diagnostic.help or ""), diagnostic.help
@@ -63,9 +63,9 @@ def test_every_code_of_this_room_is_in_a_case() -> None:
     mine = [part for part in sections if part.startswith(("characters and words", "lines and blocks"))]
     assert len(mine) == 2
     codes = {code for part in mine for code in re.findall(r'^    "([a-z0-9-]+)":', part, re.MULTILINE)}
-    seen = {expected.code for chunk in _chunks().values() for expected in _expected(chunk)}
+    case_codes = {expected.code for chunk in _chunks().values() for expected in _expected(chunk)}
     python_cases = {"hidden-direction", "odd-blank", "line-too-long", "nesting-too-deep", "expression-too-deep"}
-    assert codes - seen == python_cases and seen <= set(CODES)
+    assert codes - case_codes == python_cases and case_codes <= set(CODES)
 
 
 def _codes(text: str) -> list[str]:
@@ -87,7 +87,7 @@ def test_hidden_direction_is_refused_in_comments(character: str) -> None:
     assert _codes(f"ant 1\nspecies a {{ load = 0 }} # {character}x\n") == ["hidden-direction"]
 
 
-def test_odd_blanks_are_told_once_and_read_as_blanks() -> None:
+def test_odd_blanks_are_reported_once_and_read_as_blanks() -> None:
     file, report = parse(Source("t.ant", "ant\u00a01\nspecies\u00a0a\u2003{ load = 0 }\n"))
     assert [d.code for d in report.diagnostics] == ["odd-blank"] and len(file.items) == 1
 
@@ -107,8 +107,8 @@ def test_nesting_is_capped(opening: str, closing: str) -> None:
     inner = "x" if opening == "(" else "likes"
     head = "" if opening == "(" else "likes"
     fine = limits.NESTING - 2
-    deep = PROGRAM.format(head + opening * fine + inner + closing * fine)
-    assert "nesting-too-deep" not in _codes(deep)
+    deepest_program = PROGRAM.format(head + opening * fine + inner + closing * fine)
+    assert "nesting-too-deep" not in _codes(deepest_program)
     assert _codes(PROGRAM.format(head + opening * (fine + 1) + inner + closing * (fine + 1))) == ["nesting-too-deep"]
 
 
@@ -133,13 +133,13 @@ def test_flat_sums_within_the_cap_are_fine() -> None:
 def test_thousands_of_mistakes_take_no_time_and_are_cut_short(line: str) -> None:
     from time import process_time
 
-    begun = process_time()
+    start_time = process_time()
     _, report = parse(Source("t.ant", "ant 1\nspecies a {\n" + line * 3000))
-    shown = render(report, "concise").splitlines()
-    assert process_time() - begun < 2
-    assert len(shown) <= limits.DIAGNOSTICS_SHOWN + 1
+    output_lines = render(report, "concise").splitlines()
+    assert process_time() - start_time < 2
+    assert len(output_lines) <= limits.DIAGNOSTICS_SHOWN + 1
     if len(report.diagnostics) > limits.DIAGNOSTICS_SHOWN:
-        assert shown[-1] == f"… and {len(report.diagnostics) - limits.DIAGNOSTICS_SHOWN:,} more"
+        assert output_lines[-1] == f"… and {len(report.diagnostics) - limits.DIAGNOSTICS_SHOWN:,} more"
 
 
 def test_braces_of_a_format_string_are_shown_as_they_are() -> None:

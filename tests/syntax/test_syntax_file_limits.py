@@ -28,9 +28,9 @@ def test_a_large_file_is_one_located_message_and_is_not_parsed(words: str) -> No
     with patch("antdsl.syntax.parser._Reading", side_effect=AssertionError("parsed")):
         file, report = syntax.parse(Source("large.ant", text))
     assert file.broken
-    (found,) = report.errors
-    assert found.code == "too-many" and words.split(" of")[0] in found.message
-    assert found.span is not None and found.span.start > 1000
+    (error,) = report.errors
+    assert error.code == "too-many" and words.split(" of")[0] in error.message
+    assert error.span is not None and error.span.start > 1000
 
 
 @pytest.mark.parametrize("words", LARGE)
@@ -38,9 +38,9 @@ def test_a_file_that_is_edited_has_the_same_limits(words: str) -> None:
     parts = Parts()
     parts.parse(Source("large.ant", "ant 1\n" + SPECIES.format("a") + SPECIES.format("b")))
     with patch("antdsl.syntax.parser._Reading.lines", autospec=True, side_effect=_Reading.lines) as reading:
-        found = parts.parse(Source("large.ant", LARGE[words]))
+        edited_result = parts.parse(Source("large.ant", LARGE[words]))
     assert reading.call_count <= limits.STATEMENTS + limits.SPECIES  # one for each part, and for each group in it
-    (problem,), (expected,) = (each.errors for each in (found[1], syntax.parse(Source("large.ant", LARGE[words]))[1]))
+    (problem,), (expected,) = (each.errors for each in (edited_result[1], syntax.parse(Source("large.ant", LARGE[words]))[1]))
     assert (problem.message, str(problem.span)) == (expected.message, str(expected.span))
 
 

@@ -26,7 +26,7 @@ from antdsl.syntax.tables import STARTS, TABLES_FILE, grammar_hash, load_parser
 from antdsl.syntax.words import BELONGS, BODIES, FORMS, LINE_WORDS
 
 
-class Whole(Builder):
+class SinglePassBuilder(Builder):
     """Builds a file that is parsed in one go."""
 
     def file(self, parts: list) -> tuple:
@@ -45,8 +45,8 @@ def test_tables_are_fresh(built: Lark) -> None:
     assert stored["grammar"] == grammar_hash(), "run `python -m antdsl.syntax.grammar`"
     shipped = load_parser(Builder())
     assert _patterns(shipped) == _patterns(built)
-    kept = {str(rule) for rule in shipped.rules}
-    assert kept <= {str(rule) for rule in built.rules} and len(kept) > 150
+    shipped_rules = {str(rule) for rule in shipped.rules}
+    assert shipped_rules <= {str(rule) for rule in built.rules} and len(shipped_rules) > 150
 
 
 def test_tables_are_the_same_from_build_to_build() -> None:
@@ -83,9 +83,11 @@ def test_every_terminal_has_a_name_of_its_own(built: Lark) -> None:
 
 
 def test_every_rule_is_built(built: Lark) -> None:
-    wanted = {rule.alias or rule.options.template_source or rule.origin.name for rule in built.rules if not rule.options.expand1}
-    wanted = {str(name) for name in wanted if not str(name).startswith("_")} - {"file"}
-    assert not [name for name in wanted if not hasattr(Builder, name)]
+    rule_names = {
+        rule.alias or rule.options.template_source or rule.origin.name for rule in built.rules if not rule.options.expand1
+    }
+    rule_names = {str(name) for name in rule_names if not str(name).startswith("_")} - {"file"}
+    assert not [name for name in rule_names if not hasattr(Builder, name)]
 
 
 def test_tables_load_fast() -> None:
@@ -97,11 +99,11 @@ def calls(work: Callable[[], object]) -> int:
     """Calls of Python functions while it works."""
     count = 0
 
-    def seen(frame: FrameType, event: str, value: object) -> None:
+    def count_call(frame: FrameType, event: str, value: object) -> None:
         nonlocal count
         count += event == "call"
 
-    sys.setprofile(seen)
+    sys.setprofile(count_call)
     try:
         work()
     finally:
@@ -128,7 +130,7 @@ def test_texts_of_lines_know_their_words() -> None:
 
 
 def test_forms_that_complaints_show_can_be_parsed() -> None:
-    builder = Whole()
+    builder = SinglePassBuilder()
     parser = load_parser(builder)
     for word, form in FORMS.items():
         rule = next(rule for rule, words in LINE_WORDS.items() if word in words)
@@ -149,14 +151,14 @@ class Straight:
 
 
 @pytest.fixture(scope="module")
-def whole() -> tuple[Lark, Whole]:
-    builder = Whole()
+def single_pass_parser() -> tuple[Lark, SinglePassBuilder]:
+    builder = SinglePassBuilder()
     return build_parser(("file",), builder), builder
 
 
 @pytest.mark.parametrize("path", TEXTS, ids=lambda path: path.name)
-def test_cutting_a_text_gives_the_tree_of_the_whole(path: Path, whole: tuple[Lark, Whole]) -> None:
-    parser, builder = whole
+def test_cutting_a_text_gives_the_tree_of_the_whole(path: Path, single_pass_parser: tuple[Lark, SinglePassBuilder]) -> None:
+    parser, builder = single_pass_parser
     source = Source(path.name, path.read_text(encoding="utf-8"))
     scanned = scan(source, Report())
     assert pair(scanned) is not None  # this blanks the line ends inside parentheses

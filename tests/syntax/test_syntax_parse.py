@@ -54,15 +54,15 @@ def shape(node: Any) -> Any:
 
 
 def walk(node: Any) -> list[Any]:
-    found, stack = [], [node]
+    tree_nodes, stack = [], [node]
     while stack:
         part = stack.pop()
         if isinstance(part, tuple):
             stack.extend(part)
         elif is_dataclass(part) and not isinstance(part, (Span, Source)):
-            found.append(part)
+            tree_nodes.append(part)
             stack.extend(getattr(part, each.name) for each in fields(part))
-    return found
+    return tree_nodes
 
 
 @pytest.mark.parametrize("path", TEXTS, ids=lambda path: path.name)
@@ -71,11 +71,11 @@ def test_shipped_texts_parse_without_a_complaint(path: Path) -> None:
 
 
 def test_card_holds_every_node() -> None:
-    seen = {type(node) for node in walk(right(CARD.read_text(encoding="utf-8")))}
+    node_types = {type(node) for node in walk(right(CARD.read_text(encoding="utf-8")))}
     every = {
         value for value in vars(n).values() if isinstance(value, type) and is_dataclass(value) and value.__module__ == n.__name__
     }
-    assert every - seen == {n.BadExpr}
+    assert every - node_types == {n.BadExpr}
 
 
 def test_spans_hold_the_text_of_their_node() -> None:
@@ -98,7 +98,7 @@ def test_spans_hold_the_text_of_their_node() -> None:
                 assert node.span.start <= child.span.start and child.span.end <= node.span.end
 
 
-def test_comments_are_kept_in_order() -> None:
+def test_comments_stay_in_order() -> None:
     file = right("# one\nant 1 # two\nspecies a { load = 0 # three\n }\n# four")
     assert [comment.text for comment in file.comments] == ["# one", "# two", "# three", "# four"]
     assert all(comment.span.text == comment.text for comment in file.comments)
@@ -182,7 +182,7 @@ def test_words_of_the_language_are_names_where_they_can_be() -> None:
 
 def test_transition_has_all_its_parts() -> None:
     change = line("interrupt when a > 1 held 0.5 s take 2 load from meal -> choose { x: 1; y: 2 } { b = 1; die }")
-    assert isinstance(change, n.Change) and change.interrupt and change.any_except is None and change.after is None
+    assert isinstance(change, n.Change) and change.interrupt and change.any_except is None and change.delay is None
     assert isinstance(change.condition, n.Binary) and isinstance(change.held, n.Quantity)
     assert change.take is not None and change.take.attribute.text == "load"
     assert [(w.target.text, w.weight.value) for w in change.target.choices] == [("x", 1), ("y", 2)]  # type: ignore[union-attr]

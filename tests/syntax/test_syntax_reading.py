@@ -46,8 +46,8 @@ def test_a_file_is_read_with_its_name(tmp_path: Path) -> None:
 def test_what_is_no_program_is_refused(tmp_path: Path, data: bytes, code: str, words: str) -> None:
     path = tmp_path / "a.ant"
     path.write_bytes(data)
-    found, message = refused(path)
-    assert found == code and words in message
+    error_code, message = refused(path)
+    assert error_code == code and words in message
 
 
 def test_the_place_of_a_bad_byte_is_shown(tmp_path: Path) -> None:

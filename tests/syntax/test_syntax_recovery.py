@@ -166,12 +166,12 @@ def test_what_is_left_of_broken_lines() -> None:
 
 def test_a_lost_brace_leaves_the_blocks_after_it() -> None:
     text = CARD.read_text(encoding="utf-8")
-    whole = shape(parse(Source("t.ant", text))[0].items)
+    complete_tree = shape(parse(Source("t.ant", text))[0].items)
     lines = text.split("\n")
     for number, line in enumerate(lines):
         if line.rstrip().endswith("{") or line.strip() == "}":
-            kept = line.rstrip()[:-1]
-            file, report = read("\n".join([*lines[:number], kept, *lines[number + 1 :]]))
+            line_start = line.rstrip()[:-1]
+            file, report = read("\n".join([*lines[:number], line_start, *lines[number + 1 :]]))
             assert len(report.errors) == 1, (line, render(report, "concise"))
-            same = [item for item in whole if item in shape(file.items)]
-            assert len(same) >= len(whole) - 1, line
+            same = [item for item in complete_tree if item in shape(file.items)]
+            assert len(same) >= len(complete_tree) - 1, line

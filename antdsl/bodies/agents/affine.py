@@ -55,9 +55,9 @@ def composed(translation: Numbers, rotation: Numbers, scale: Numbers | None, she
     xy, xz, yz = x * y2, x * z2, y * z2
     wx, wy, wz = w * x2, w * y2, w * z2
     one = rotation.dtype.type(1)
-    for a, b, more, less in ((xy, wz, (1, 0), (0, 1)), (xz, wy, (0, 2), (2, 0)), (yz, wx, (2, 1), (1, 2))):
-        np.add(a, b, out=out[more])
-        np.subtract(a, b, out=out[less])
+    for a, b, sum_index, difference_index in ((xy, wz, (1, 0), (0, 1)), (xz, wy, (0, 2), (2, 0)), (yz, wx, (2, 1), (1, 2))):
+        np.add(a, b, out=out[sum_index])
+        np.subtract(a, b, out=out[difference_index])
     for k, a, b in ((0, yy, zz), (1, xx, zz), (2, xx, yy)):
         np.add(a, b, out=out[k, k])
         np.subtract(one, out[k, k], out=out[k, k])
@@ -97,16 +97,16 @@ def cofactors(m: Numbers) -> Numbers:
 
 def determinants(m: Numbers, cofactor: Numbers) -> Numbers:
     """Return the determinants […] of matrices with known cofactors."""
-    found: Numbers = (m[0, 0] * cofactor[0, 0] + m[0, 1] * cofactor[0, 1]) + m[0, 2] * cofactor[0, 2]
-    return found
+    determinant: Numbers = (m[0, 0] * cofactor[0, 0] + m[0, 1] * cofactor[0, 1]) + m[0, 2] * cofactor[0, 2]
+    return determinant
 
 
 def inverse_transposed(m: Numbers) -> Numbers:
     """Return the inverse transposed [3, 3, …], which transforms normals; the cofactors where there is no inverse."""
-    found = cofactors(m)
-    whole = determinants(m, found)
-    found /= np.where(whole == 0, m.dtype.type(1), whole)
-    return found
+    inverse = cofactors(m)
+    determinant = determinants(m, inverse)
+    inverse /= np.where(determinant == 0, m.dtype.type(1), determinant)
+    return inverse
 
 
 def rotation_part(m: Numbers) -> Numbers:
@@ -114,27 +114,27 @@ def rotation_part(m: Numbers) -> Numbers:
     sign, so R never mirrors. Uses Newton's iteration, scaled by Frobenius norms, in float64, with the same number of steps for
     every matrix (N. J. Higham, Computing the Polar Decomposition, SIAM J. Sci. Stat. Comput. 7, 1986). Returns no rotation where
     there is no inverse."""
-    found = m[:, :3].astype(np.float64)
-    whole = determinants(found, cofactors(found))
-    found *= np.where(whole < 0, -1.0, 1.0)
-    flat = whole == 0
+    rotation = m[:, :3].astype(np.float64)
+    determinant = determinants(rotation, cofactors(rotation))
+    rotation *= np.where(determinant < 0, -1.0, 1.0)
+    flat = determinant == 0
     for r in range(3):
         for c in range(3):
-            found[r, c][flat] = float(r == c)
+            rotation[r, c][flat] = float(r == c)
     for _ in range(_POLAR_STEPS):
-        back = inverse_transposed(found)
-        by = np.sqrt(np.sqrt(_square(back) / _square(found)))
-        found = 0.5 * (by * found + back / by)
-    return found
+        back = inverse_transposed(rotation)
+        by = np.sqrt(np.sqrt(_square(back) / _square(rotation)))
+        rotation = 0.5 * (by * rotation + back / by)
+    return rotation
 
 
 def _square(m: Numbers) -> Numbers:
     """Return the sum of squares […] of the elements of matrices [3, 3, …]."""
-    found: Numbers = m[0, 0] * m[0, 0]
+    total: Numbers = m[0, 0] * m[0, 0]
     for k in range(1, 9):
         each = m[divmod(k, 3)]
-        found += each * each
-    return found
+        total += each * each
+    return total
 
 
 def quaternions(m: Numbers) -> Numbers:
@@ -146,13 +146,13 @@ def quaternions(m: Numbers) -> Numbers:
     xy, xz, yz = m[0, 1] + m[1, 0], m[0, 2] + m[2, 0], m[1, 2] + m[2, 1]
     wx, wy, wz = m[2, 1] - m[1, 2], m[0, 2] - m[2, 0], m[1, 0] - m[0, 1]
     own = [1 + 2 * m[k, k] - trace for k in range(3)]
-    ways = (
+    candidates = (
         np.stack([own[0], xy, xz, wx]), np.stack([xy, own[1], yz, wy]), np.stack([xz, yz, own[2], wz]),
         np.stack([wx, wy, wz, 1 + trace]),
     )  # fmt: skip
-    found = np.choose(best, ways)
-    found *= np.where(found[3] < 0, -1, 1)
-    return normalised(found)
+    quaternion = np.choose(best, candidates)
+    quaternion *= np.where(quaternion[3] < 0, -1, 1)
+    return normalised(quaternion)
 
 
 def decomposed(matrices: NDArray[np.float64]) -> tuple[Numbers, Numbers, Numbers, Numbers]:
@@ -171,9 +171,9 @@ def decomposed(matrices: NDArray[np.float64]) -> tuple[Numbers, Numbers, Numbers
             upper[k, c] = (axis[0] * column[0] + axis[1] * column[1]) + axis[2] * column[2]
             column -= upper[k, c] * axis
         size = np.sqrt((column[0] * column[0] + column[1] * column[1]) + column[2] * column[2])
-        whole = np.sqrt((m[0, c] * m[0, c] + m[1, c] * m[1, c]) + m[2, c] * m[2, c])
-        flat = size <= 1e-12 * whole
-        upper[c, c] = np.where(flat, 1e-6 * whole, size)
+        full_size = np.sqrt((m[0, c] * m[0, c] + m[1, c] * m[1, c]) + m[2, c] * m[2, c])
+        flat = size <= 1e-12 * full_size
+        upper[c, c] = np.where(flat, 1e-6 * full_size, size)
         axes.append(np.where(flat, _across(axes, m.shape[-1]), column / np.where(flat, 1.0, size)))
     mirror = determinants(np.stack(axes, 1), cofactors(np.stack(axes, 1))) < 0
     axes[0] = np.where(mirror, -axes[0], axes[0])
@@ -194,7 +194,9 @@ def _across(axes: list[Numbers], count: int) -> Numbers:
     a = axes[0]
     steep = np.abs(a[0]) > 0.6
     other = np.where(steep, [[0.0], [1.0], [0.0]], [[1.0], [0.0], [0.0]])
-    found = other - ((a[0] * other[0] + a[1] * other[1]) + a[2] * other[2]) * a
-    size = np.sqrt((found[0] * found[0] + found[1] * found[1]) + found[2] * found[2])
-    unit: Numbers = found / size
+    perpendicular = other - ((a[0] * other[0] + a[1] * other[1]) + a[2] * other[2]) * a
+    size = np.sqrt(
+        (perpendicular[0] * perpendicular[0] + perpendicular[1] * perpendicular[1]) + perpendicular[2] * perpendicular[2]
+    )
+    unit: Numbers = perpendicular / size
     return unit

@@ -19,7 +19,7 @@ _OWN = {"P": "points", "N": "normals"}  # attributes with a field of their own
 _LEAST_APART = 1e-6  # in-betweens of the same weight are one
 
 
-def blend_shapes(given: Deformed, shape: Shape, definition: Definition, poses: Poses) -> Deformed:
+def blend_shapes(deformed: Deformed, shape: Shape, definition: Definition, poses: Poses) -> Deformed:
     """Add the inputs of a blend shape, weighted by the channels of each agent, to the attributes that it blends (default: P and
     N). Primitives have no attributes here, so `Blend.primitive_id` is not matched.
 
@@ -30,9 +30,9 @@ def blend_shapes(given: Deformed, shape: Shape, definition: Definition, poses: P
         raise ValueError(f"shape `{shape.name}` names no blend shapes (blendshape_shapenames)")
     if len(blend.shapes) != len(blend.channels):
         raise ValueError(f"shape `{shape.name}` has {len(blend.shapes)} blend shapes and {len(blend.channels)} channels for them")
-    n = max(len(poses.channels), len(given.points))
-    names = [name for name in blend.attributes if _of(given, name) is not None and values_of(shape, name) is not None]
-    found = {name: _spread(_of(given, name), n) for name in names}
+    n = max(len(poses.channels), len(deformed.points))
+    names = [name for name in blend.attributes if _of(deformed, name) is not None and values_of(shape, name) is not None]
+    values = {name: _spread(_of(deformed, name), n) for name in names}
     for name, channel in zip(blend.shapes, blend.channels, strict=True):
         weights = poses.channels[:, definition.rig.channel(channel)]
         targets, knots = knots_of(definition, name)
@@ -41,17 +41,17 @@ def blend_shapes(given: Deformed, shape: Shape, definition: Definition, poses: P
                 continue
             has = [k for k, target in enumerate(targets) if values_of(target, each) is not None]
             for k, share in zip(has, shares_of(weights, knots[has]), strict=True):
-                here, there = matched(shape, targets[k], blend.point_id)
-                found[each][:, here] += difference(shape, targets[k], each, here, there)[..., None] * share
-    rest = {name: array.transpose(2, 1, 0) for name, array in found.items() if name not in _OWN}
-    points = found["P"].transpose(2, 1, 0) if "P" in found else given.points
-    normals = unit(found["N"]).transpose(2, 1, 0) if "N" in found else given.normals
-    return Deformed(points, normals, {**given.attributes, **rest})
+                base_points, target_points = matched(shape, targets[k], blend.point_id)
+                values[each][:, base_points] += difference(shape, targets[k], each, base_points, target_points)[..., None] * share
+    rest = {name: array.transpose(2, 1, 0) for name, array in values.items() if name not in _OWN}
+    points = values["P"].transpose(2, 1, 0) if "P" in values else deformed.points
+    normals = unit(values["N"]).transpose(2, 1, 0) if "N" in values else deformed.normals
+    return Deformed(points, normals, {**deformed.attributes, **rest})
 
 
-def _of(given: Deformed, name: str) -> Floats | None:
+def _of(deformed: Deformed, name: str) -> Floats | None:
     """Return an attribute [n, P, …] as deformed so far."""
-    return {"P": given.points, "N": given.normals}[name] if name in _OWN else given.attributes.get(name)
+    return {"P": deformed.points, "N": deformed.normals}[name] if name in _OWN else deformed.attributes.get(name)
 
 
 def _spread(values: Floats | None, n: int) -> Floats:
@@ -65,32 +65,32 @@ def knots_of(definition: Definition, name: str) -> tuple[list[Shape], NDArray[np
     """Return an input's primary shape and its in-betweens, with their weights in ascending order."""
     primary = definition.shapes[name]
     between = primary.between
-    found = [(1.0, primary)]
+    pairs = [(1.0, primary)]
     if between is not None:
         if len(between.shapes) != len(between.weights):
             raise ValueError(f"shape `{name}` has {len(between.shapes)} in-betweens and {len(between.weights)} weights for them")
         for each, weight in zip(between.shapes, between.weights, strict=True):
-            if any(abs(weight - other) < _LEAST_APART for other in (0.0, *(known for known, _ in found))):
+            if any(abs(weight - other) < _LEAST_APART for other in (0.0, *(known for known, _ in pairs))):
                 raise ValueError(
                     f"in-between `{each}` of shape `{name}` has weight {weight:g}: 0 is the base's, 1 its own, each is there once"
                 )
-            found.append((weight, definition.shapes[each]))
-    found.sort(key=lambda pair: pair[0])
-    return [target for _, target in found], np.array([weight for weight, _ in found])
+            pairs.append((weight, definition.shapes[each]))
+    pairs.sort(key=lambda pair: pair[0])
+    return [target for _, target in pairs], np.array([weight for weight, _ in pairs])
 
 
 def shares_of(weights: Floats, knots: NDArray[np.float64]) -> Floats:
     """Return the share of the difference of each of K shapes that an input of these weights [n] adds, float32[K, n]. A weight is
     interpolated between the two nearest knots, the base at 0 among them."""
-    places = np.sort(np.append(knots, 0.0))
+    all_knots = np.sort(np.append(knots, 0.0))
     weight = weights.astype(np.float64)
-    piece = np.clip(np.searchsorted(places, weight, side="right") - 1, 0, len(places) - 2)
-    near = (weight - places[piece]) / (places[piece + 1] - places[piece])
-    found = np.zeros((len(places), len(weight)))
+    piece = np.clip(np.searchsorted(all_knots, weight, side="right") - 1, 0, len(all_knots) - 2)
+    near = (weight - all_knots[piece]) / (all_knots[piece + 1] - all_knots[piece])
+    all_shares = np.zeros((len(all_knots), len(weight)))
     agents = np.arange(len(weight))
-    found[piece, agents] = 1 - near
-    found[piece + 1, agents] = near
-    shares: Floats = found[places != 0].astype(np.float32)
+    all_shares[piece, agents] = 1 - near
+    all_shares[piece + 1, agents] = near
+    shares: Floats = all_shares[all_knots != 0].astype(np.float32)
     return shares
 
 
@@ -102,19 +102,19 @@ def matched(base: Shape, target: Shape, point_id: str) -> tuple[NDArray[np.intp]
         return both, both
     order = np.argsort(other, kind="stable")
     place = np.minimum(np.searchsorted(other[order], own), max(len(other) - 1, 0))
-    here = np.flatnonzero(other[order][place] == own) if len(other) else np.zeros(0, np.intp)
-    return here, order[place[here]] if len(other) else here
+    base_points = np.flatnonzero(other[order][place] == own) if len(other) else np.zeros(0, np.intp)
+    return base_points, order[place[base_points]] if len(other) else base_points
 
 
 def values_of(shape: Shape, name: str) -> NDArray[np.generic] | None:
     """An attribute [P, …] of the points of a shape."""
-    found: NDArray[np.generic] | None = getattr(shape, _OWN[name]) if name in _OWN else shape.attributes.get(name)
-    return found
+    values: NDArray[np.generic] | None = getattr(shape, _OWN[name]) if name in _OWN else shape.attributes.get(name)
+    return values
 
 
-def difference(base: Shape, target: Shape, name: str, here: NDArray[np.intp], there: NDArray[np.intp]) -> Floats:
+def difference(base: Shape, target: Shape, name: str, base_points: NDArray[np.intp], target_points: NDArray[np.intp]) -> Floats:
     """Return another shape's attribute minus that of the base at matched points, float32[components, matched]."""
     mine, others = values_of(base, name), values_of(target, name)
     assert mine is not None and others is not None
-    found = others[there].astype(np.float32) - mine[here].astype(np.float32)
-    return np.ascontiguousarray(found.reshape(len(here), int(np.prod(found.shape[1:]))).T)  # also where none is matched
+    delta = others[target_points].astype(np.float32) - mine[base_points].astype(np.float32)
+    return np.ascontiguousarray(delta.reshape(len(base_points), int(np.prod(delta.shape[1:]))).T)  # also where none is matched

@@ -66,10 +66,10 @@ class ClipTree:
         if self.parents.count(NO_PARENT) != 1:
             raise ValueError(f"{self.parents.count(NO_PARENT)} layers have the parent {NO_PARENT}; it is the topmost one alone")
         for layer in range(count):
-            above, seen = layer, 0
+            above, depth = layer, 0
             while above != NO_PARENT:
-                above, seen = self.parents[above], seen + 1
-                if seen > count:
+                above, depth = self.parents[above], depth + 1
+                if depth > count:
                     raise ValueError(f"layer {layer} is an input of itself, by the parents {self.parents}")
 
     @property
@@ -132,13 +132,13 @@ def posed(
         def work(begin: int, end: int, tree: ClipTree = tree, rows: NDArray[np.intp] | None = rows) -> None:
             for a in range(begin, end, part):
                 b = min(a + part, end)
-                whose = slice(a, b) if rows is None else rows[a:b]
-                pose = blended(table, members, tree, playing, whose)
-                found, placed = transforms(table, pose)
-                _put(world, table, whose, placed)
+                agents = slice(a, b) if rows is None else rows[a:b]
+                pose = blended(table, members, tree, playing, agents)
+                local_matrices, placed = transforms(table, pose)
+                _put(world, table, agents, placed)
                 if own is not None:
-                    _put(own, table, whose, found)
-                channels[:, whose] = pose.channels
+                    _put(own, table, agents, local_matrices)
+                channels[:, agents] = pose.channels
 
         if count:
             with standard():
@@ -157,14 +157,14 @@ def _fitting(playing: Playing) -> None:
             raise ValueError(f"`{name}` of {n} agents is {shape} where [{n}, {least} or more] is needed")
 
 
-def _put(into: Floats, table: ClipTable, whose: slice | NDArray[np.intp], found: Floats) -> None:
+def _put(into: Floats, table: ClipTable, agents: slice | NDArray[np.intp], matrices: Floats) -> None:
     """Write matrices of some agents into their rows, with joints in the order of the rig."""
     for r in range(3):
         for c in range(4):
-            if isinstance(whose, slice):
-                into[r, c, table.order, whose] = found[r, c]
+            if isinstance(agents, slice):
+                into[r, c, table.order, agents] = matrices[r, c]
             else:
-                into[r, c, table.order[:, None], whose] = found[r, c]
+                into[r, c, table.order[:, None], agents] = matrices[r, c]
 
 
 @dataclass(slots=True, eq=False)
@@ -179,20 +179,20 @@ class _Input:
 
 def blended(
     table: ClipTable, members: Mapping[str, tuple[Floats, Floats]], tree: ClipTree, playing: Playing,
-    whose: slice | NDArray[np.intp],
+    agents: slice | NDArray[np.intp],
 ) -> Pose:  # fmt: skip
     """The local poses of some agents, all of which have this tree; `members`: weights of transform groups by name."""
-    clips = _by_slot(playing.clips, whose)
-    times, weights = _by_slot(playing.times, whose), _heeded(_by_slot(playing.weights, whose))
-    layer_weights = _heeded(_by_slot(playing.layer_weights, whose))
+    clips = _by_slot(playing.clips, agents)
+    times, weights = _by_slot(playing.times, agents), _heeded(_by_slot(playing.weights, agents))
+    layer_weights = _heeded(_by_slot(playing.layer_weights, agents))
     n = clips.shape[1]
     rest = rest_pose(table, n)
 
     def of_clip(slot: int) -> _Input:
-        there = (clips[slot] != REST).astype(np.float32)
-        joints, channels = there, there
+        presence = (clips[slot] != REST).astype(np.float32)
+        joints, channels = presence, presence
         if tree.groups[slot]:
-            joints, channels = (each[:, None] * there for each in members[tree.groups[slot]])
+            joints, channels = (each[:, None] * presence for each in members[tree.groups[slot]])
         return _Input(sampled(table, clips[slot], times[slot]), weights[slot], joints, channels)
 
     def of_layer(layer: int) -> _Input:
@@ -201,16 +201,16 @@ def blended(
         if not inputs:
             nothing = np.zeros(n, np.float32)
             return _Input(rest, layer_weights[layer], nothing, nothing)
-        found = _BY_MODE[tree.modes[layer]](inputs, rest)
-        found.weight = layer_weights[layer]
-        return found
+        layer_input = _BY_MODE[tree.modes[layer]](inputs, rest)
+        layer_input.weight = layer_weights[layer]
+        return layer_input
 
     return of_layer(tree.root).pose
 
 
-def _by_slot(values: NDArray, whose: slice | NDArray[np.intp]) -> NDArray:  # type: ignore[type-arg]  # of any numbers
+def _by_slot(values: NDArray, agents: slice | NDArray[np.intp]) -> NDArray:  # type: ignore[type-arg]  # of any numbers
     """Rows of some agents as one array a column."""
-    return np.ascontiguousarray(values[whose].T)
+    return np.ascontiguousarray(values[agents].T)
 
 
 def _heeded(weights: Floats) -> Floats:
@@ -233,13 +233,13 @@ def _mean(inputs: list[_Input], rest: Pose) -> _Input:
     )  # fmt: skip
     part = np.empty_like(pose.rotation)
     for each, share, channel_share in zip(inputs[1:], joint_shares[1:], channel_shares[1:], strict=True):
-        for into, more in (
+        for into, addend in (
             (pose.translation, each.pose.translation),
             (pose.scale, each.pose.scale),
             (pose.shear, each.pose.shear),
         ):
-            if into is not None and more is not None:
-                np.multiply(more, share, out=part[:3])
+            if into is not None and addend is not None:
+                np.multiply(addend, share, out=part[:3])
                 into += part[:3]
         pose.channels += each.pose.channels * channel_share
         _join(pose.rotation, each.pose.rotation, share, part)
@@ -258,26 +258,26 @@ def _alone(only: _Input, rest: Pose) -> _Input:
 
 def _shares(weights: list[tuple[Floats, Floats]]) -> tuple[list[Floats], Floats, NDArray[np.bool_]]:
     """From weights and coverages, return shares that add up to 1, the mean coverage, and where there is none."""
-    found = [weight * there for weight, there in weights]
-    total, whole = found[0], weights[0][0]
-    for each, (weight, _) in zip(found[1:], weights[1:], strict=True):
-        total, whole = total + each, whole + weight
+    products = [weight * presence for weight, presence in weights]
+    total, weight_sum = products[0], weights[0][0]
+    for each, (weight, _) in zip(products[1:], weights[1:], strict=True):
+        total, weight_sum = total + each, weight_sum + weight
     none = total < _LEAST
     by: Floats = np.where(none, _ONE, total)
     np.divide(_ONE, by, out=by)
-    given: Floats = np.where(whole == 0, _ONE, whole)
-    there: Floats = np.divide(total, given)
-    return [each * by for each in found], there, none
+    divisor: Floats = np.where(weight_sum == 0, _ONE, weight_sum)
+    presence: Floats = np.divide(total, divisor)
+    return [each * by for each in products], presence, none
 
 
-def _join(into: Floats, more: Floats, share: Floats, part: Floats) -> None:
+def _join(into: Floats, addend: Floats, share: Floats, part: Floats) -> None:
     """Add a share of quaternions to a sum, with the sign aligned to the sum."""
-    np.multiply(into, more, out=part)
+    np.multiply(into, addend, out=part)
     dots = part[0]
     for k in (1, 2, 3):
         dots += part[k]
     side = np.where(dots < 0, -share, share)
-    np.multiply(more, side, out=part)
+    np.multiply(addend, side, out=part)
     into += part
 
 
@@ -319,13 +319,13 @@ def _over(inputs: list[_Input], rest: Pose) -> _Input:
     for each in inputs:
         share = np.minimum(each.weight * each.joints, _ONE)
         channel_share = np.minimum(each.weight * each.channels, _ONE)
-        for into, more in (
+        for into, overlay in (
             (pose.translation, each.pose.translation),
             (pose.scale, each.pose.scale),
             (pose.shear, each.pose.shear),
         ):
-            if into is not None and more is not None:
-                into += (more - into) * share
+            if into is not None and overlay is not None:
+                into += (overlay - into) * share
         pose.channels += (each.pose.channels - pose.channels) * channel_share
         part = np.empty_like(pose.rotation)
         pose.rotation *= _ONE - share

@@ -126,13 +126,13 @@ def rest_box(definition: Definition) -> tuple[NDArray[np.float64], NDArray[np.fl
     """Return the box of the points of all shapes of all layers in the rest pose, which defines a body's length. Without shapes it
     is the box of the joints."""
     world = world_matrices(definition.rig.parents, definition.rig.rest)
-    found = [world[:, :3, 3]]
+    point_sets = [world[:, :3, 3]]
     for layer in definition.layers.values():
         for binding in (*layer.static, *layer.deforming):
             shape = definition.shapes.get(binding.shape)
             if shape is not None and len(shape.points):
-                found.append(_rest_points(definition, binding, shape, world))
-    points = np.concatenate(found[1:] or found)
+                point_sets.append(_rest_points(definition, binding, shape, world))
+    points = np.concatenate(point_sets[1:] or point_sets)
     return points.min(axis=0), points.max(axis=0)
 
 
@@ -142,10 +142,10 @@ def _rest_points(definition: Definition, binding: Binding, shape: Shape, world: 
         return _moved(world[definition.rig.joint(binding.transform)], points) if binding.transform else points
     chosen = [definition.rig.joint(name) for name in shape.capture.names]
     matrices = followed_by(world[chosen], shape.capture.inverse)
-    made = np.zeros_like(points)
+    skinned_points = np.zeros_like(points)
     for column in range(shape.capture.joints.shape[1]):
-        made += _moved(matrices[shape.capture.joints[:, column]], points) * shape.capture.weights[:, column, None]
-    return made
+        skinned_points += _moved(matrices[shape.capture.joints[:, column]], points) * shape.capture.weights[:, column, None]
+    return skinned_points
 
 
 def _moved(matrix: NDArray[np.float64], points: NDArray[np.float64]) -> NDArray[np.float64]:

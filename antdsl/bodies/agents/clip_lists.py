@@ -48,9 +48,9 @@ def playing_of(
     of_clips = {"clip names": names, "clip times": times, "clip weights": weights, "groups": groups, "layer ids": layer_ids}
     of_layers = {"layer modes": modes, "layer weights": layer_weights, "layer parents": parents}
     lists = [(what, values, counts) for what, values in of_clips.items()]
-    for what, values, wanted in lists + [(what, values, layer_counts) for what, values in of_layers.items()]:
-        if values is not None and len(values) != int(wanted.sum()):
-            raise ValueError(f"there are {len(values)} {what} where agents have {int(wanted.sum())}")
+    for what, values, expected_counts in lists + [(what, values, layer_counts) for what, values in of_layers.items()]:
+        if values is not None and len(values) != int(expected_counts.sum()):
+            raise ValueError(f"there are {len(values)} {what} where agents have {int(expected_counts.sum())}")
     clip_numbers = _numbered(names, table.number)
     words, group_numbers = _words(groups, len(names))
     clips = _padded(clip_numbers, counts, REST).astype(np.int32)
@@ -82,12 +82,12 @@ def _words(names: Numbers | None, count: int) -> tuple[tuple[str, ...], NDArray[
 
 def _padded(values: Numbers | None, counts: NDArray[np.int64], missing: float) -> Numbers:
     """Return concatenated lists as rows [n, most], padded with `missing`; `counts` are the lengths."""
-    given = np.asarray([] if values is None else values)
-    kind = given.dtype if len(given) else np.asarray(missing).dtype
-    found = np.full((len(counts), int(counts.max(initial=0))), missing, kind)
+    flat_values = np.asarray([] if values is None else values)
+    kind = flat_values.dtype if len(flat_values) else np.asarray(missing).dtype
+    padded_rows = np.full((len(counts), int(counts.max(initial=0))), missing, kind)
     rows = np.repeat(np.arange(len(counts)), counts)
-    found[rows, np.arange(len(given)) - np.repeat(np.cumsum(counts) - counts, counts)] = given
-    return found
+    padded_rows[rows, np.arange(len(flat_values)) - np.repeat(np.cumsum(counts) - counts, counts)] = flat_values
+    return padded_rows
 
 
 def _tree(

@@ -267,41 +267,41 @@ class Definition:
     def base(self) -> NDArray[np.float64]:
         """Return the matrix float64[4, 4] from its own space to agent space: length 1, front +x, up +y."""
         ahead, up = np.array(self.front, np.float64), np.array(self.up, np.float64)
-        found = np.eye(4)
-        found[0, :3], found[1, :3], found[2, :3] = ahead, up, np.cross(ahead, up)
-        found[:3] /= self.length
-        return found
+        matrix = np.eye(4)
+        matrix[0, :3], matrix[1, :3], matrix[2, :3] = ahead, up, np.cross(ahead, up)
+        matrix[:3] /= self.length
+        return matrix
 
 
-def spoken_name(text: str) -> str:
+def language_name(text: str) -> str:
     """Return a name in lower-case letters, digits and `_` that begins with a letter; each run of other characters becomes one
     `_`."""
-    made = _OTHER.sub("_", text.lower()).strip("_")
-    return made if made[:1].isalpha() else f"n{made}"
+    name = _OTHER.sub("_", text.lower()).strip("_")
+    return name if name[:1].isalpha() else f"n{name}"
 
 
-def spoken_names(names: Iterable[str]) -> dict[str, str]:
+def language_names(names: Iterable[str]) -> dict[str, str]:
     """Return the display name of each name. Names that are valid in the language do not change. Of other names with equal display
     names, the later ones get `_2`, `_3` and so on."""
     names = list(names)
-    made = {name: name for name in names if spoken_name(name) == name}
-    taken = set(made)
+    translations = {name: name for name in names if language_name(name) == name}
+    taken = set(translations)
     for name in names:
-        if name not in made:
-            first = found = spoken_name(name)
+        if name not in translations:
+            first = candidate = language_name(name)
             count = 2
-            while found in taken:
-                found, count = f"{first}_{count}", count + 1
-            made[name] = found
-            taken.add(found)
-    return {name: made[name] for name in names}
+            while candidate in taken:
+                candidate, count = f"{first}_{count}", count + 1
+            translations[name] = candidate
+            taken.add(candidate)
+    return {name: translations[name] for name in names}
 
 
-def spoken(body: Definition) -> Definition:
+def with_language_names(body: Definition) -> Definition:
     """Return the definition with the display names of its clips (the idle one too), their marks, its layers and its transform
     groups. Channel names do not change: clips and shapes refer to them."""
-    clips, groups, layers = (spoken_names(each) for each in (body.clips, body.groups, body.layers))
-    marked = {name: spoken_names(clip.marks) for name, clip in body.clips.items()}
+    clips, groups, layers = (language_names(each) for each in (body.clips, body.groups, body.layers))
+    marked = {name: language_names(clip.marks) for name, clip in body.clips.items()}
     if all(name == own for each in (clips, groups, layers, *marked.values()) for name, own in each.items()):
         return body
     return replace(

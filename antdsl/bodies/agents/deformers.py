@@ -25,7 +25,7 @@ class Deformer(Protocol):
     the library shape, shared by all agents (n is 1). It returns the shape for each agent and does not modify its arguments. It is
     called for subsets of agents; the result for one must not depend on the others."""
 
-    def __call__(self, given: Deformed, shape: Shape, definition: Definition, poses: Poses) -> Deformed: ...
+    def __call__(self, deformed: Deformed, shape: Shape, definition: Definition, poses: Poses) -> Deformed: ...
 
 
 DEFORMERS: dict[str, Deformer] = {
@@ -72,30 +72,30 @@ def bound(definition: Definition, binding: Binding, poses: Poses) -> Deformed:
     others = {name: np.empty((n, *values.shape[1:]), np.float32) for name, values in rest.attributes.items()}
     part = max(16, _PART // max(1, len(shape.points)))
     for a in range(0, n, part):
-        some = slice(a, min(a + part, n))
-        local = None if poses.local is None else poses.local[some]
-        here, found = Poses(poses.world[some], local, poses.channels[some]), rest
+        rows = slice(a, min(a + part, n))
+        local = None if poses.local is None else poses.local[rows]
+        part_poses, deformed = Poses(poses.world[rows], local, poses.channels[rows]), rest
         with standard():
             for step in chain:
-                found = step(found, shape, definition, here)
-        points[some] = found.points
-        if normals is not None and found.normals is not None:
-            normals[some] = found.normals
+                deformed = step(deformed, shape, definition, part_poses)
+        points[rows] = deformed.points
+        if normals is not None and deformed.normals is not None:
+            normals[rows] = deformed.normals
         for name, into in others.items():
-            into[some] = found.attributes[name].reshape(-1, *into.shape[1:])
+            into[rows] = deformed.attributes[name].reshape(-1, *into.shape[1:])
     return Deformed(points, normals, others)
 
 
 def _carried(binding: Binding) -> Deformer:
     """The step that moves a shape by its joint alone."""
 
-    def carried(given: Deformed, shape: Shape, definition: Definition, poses: Poses) -> Deformed:
+    def carried(deformed: Deformed, shape: Shape, definition: Definition, poses: Poses) -> Deformed:
         joint = definition.rig.joint(binding.transform)
         matrices = poses.world[:, joint].transpose(1, 2, 0)[:, :, None]
-        points = apply(matrices, given.points).transpose(2, 1, 0)
-        if given.normals is None:
-            return Deformed(points, None, given.attributes)
-        across = apply(inverse_transposed(matrices), given.normals)
-        return Deformed(points, unit(across).transpose(2, 1, 0), given.attributes)
+        points = apply(matrices, deformed.points).transpose(2, 1, 0)
+        if deformed.normals is None:
+            return Deformed(points, None, deformed.attributes)
+        across = apply(inverse_transposed(matrices), deformed.normals)
+        return Deformed(points, unit(across).transpose(2, 1, 0), deformed.attributes)
 
     return carried

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.bodies.agents.affine import Floats, normalised
-from antdsl.bodies.agents.definition import Rig, TransformGroup, spoken_names
+from antdsl.bodies.agents.definition import Rig, TransformGroup, language_names
 from antdsl.bodies.agents.poses import ClipTable, Poses
 from antdsl.bodies.agents.varied_bodies import Draws
 
@@ -41,7 +41,9 @@ class Driven:
 
 def with_channels(table: ClipTable, poses: Poses, channels: Mapping[str, Floats]) -> Poses:
     """Return poses in which the given channel values are set where finite. A channel that the rig does not have is ignored."""
-    names = {spoken: k for k, spoken in enumerate(spoken_names(each.name for each in table.rig.channels).values())}
+    names = {
+        language_name: k for k, language_name in enumerate(language_names(each.name for each in table.rig.channels).values())
+    }
     known = {names[name]: value for name, value in channels.items() if name in names}
     if not known:
         return poses
@@ -61,15 +63,15 @@ def with_looks(
     rotation from straight ahead; joints of one chain together turn by at most the whole rotation. `base` [3, 3] transforms from
     the body's space to that of agents. A group that the body does not have is ignored. `local` is None where anything was
     turned."""
-    wanted = {name: look for name, look in looks.items() if name in groups and len(look)}
-    if not wanted:
+    known_looks = {name: look for name, look in looks.items() if name in groups and len(look)}
+    if not known_looks:
         return poses
     world = np.array(poses.world, np.float32)
     x, y, z = base[0]
     axes = (base / np.sqrt((x * x + y * y) + z * z)).astype(np.float32)
-    for name, look in wanted.items():
-        way = [(look[:, 0] * axes[0, k] + look[:, 1] * axes[1, k]) + look[:, 2] * axes[2, k] for k in range(3)]
-        turn = _shortest(way, axes[0])
+    for name, look in known_looks.items():
+        direction = [(look[:, 0] * axes[0, k] + look[:, 1] * axes[1, k]) + look[:, 2] * axes[2, k] for k in range(3)]
+        turn = _shortest(direction, axes[0])
         for joint, share in look_shares(table.rig, groups[name]):
             _turned(world, joint, table.rig.below(joint), _share(turn, share))
     return Poses(world, None, poses.channels)
@@ -86,16 +88,16 @@ def look_shares(rig: Rig, group: TransformGroup) -> Iterator[tuple[int, float]]:
             yield joint, share
 
 
-def _shortest(way: Sequence[Floats], ahead: Floats) -> Floats:
+def _shortest(direction: Sequence[Floats], ahead: Floats) -> Floats:
     """Return the quaternions float32[n, 4] of the shortest rotations that bring `ahead` [3] to unit vectors, given as x, y and z
     [n]."""
     x, y, z = ahead
-    found = np.stack([
-        y * way[2] - z * way[1], z * way[0] - x * way[2], x * way[1] - y * way[0],
-        1 + ((way[0] * x + way[1] * y) + way[2] * z),
+    quaternions = np.stack([
+        y * direction[2] - z * direction[1], z * direction[0] - x * direction[2], x * direction[1] - y * direction[0],
+        1 + ((direction[0] * x + direction[1] * y) + direction[2] * z),
     ]).astype(np.float32)  # fmt: skip
-    found[:, found[3] < 1e-6] = np.array([[0], [0], [0], [1]], np.float32)  # straight back: there is no shortest turn
-    return np.ascontiguousarray(normalised(found).T)
+    quaternions[:, quaternions[3] < 1e-6] = np.array([[0], [0], [0], [1]], np.float32)  # straight back: there is no shortest turn
+    return np.ascontiguousarray(normalised(quaternions).T)
 
 
 def _share(turn: Floats, weight: float) -> Floats:

@@ -37,11 +37,11 @@ def chain(rig: Rig, leg: Leg) -> Chain:
 
 
 def _below(rig: Rig, joint: int) -> NDArray[np.bool_]:
-    found = np.zeros(len(rig.names), np.bool_)
-    found[joint] = True
-    for number in range(joint + 1, len(found)):
-        found[number] = rig.parents[number] >= 0 and found[rig.parents[number]]
-    return found
+    is_below = np.zeros(len(rig.names), np.bool_)
+    is_below[joint] = True
+    for number in range(joint + 1, len(is_below)):
+        is_below[number] = rig.parents[number] >= 0 and is_below[rig.parents[number]]
+    return is_below
 
 
 def standing_joints(body: Definition) -> NDArray[np.float64]:
@@ -50,17 +50,19 @@ def standing_joints(body: Definition) -> NDArray[np.float64]:
     table = clip_table(body)
     number = table.number(body.idle) if body.idle in body.clips else REST
     world = transforms(table, sampled(table, np.array([number]), np.zeros(1)))[1]
-    places = np.empty((len(table.order), 3))
-    places[table.order] = world[:, 3, :, 0].T
+    positions = np.empty((len(table.order), 3))
+    positions[table.order] = world[:, 3, :, 0].T
     base = body.base()
-    return np.stack([(base[k, 0] * places[:, 0] + base[k, 1] * places[:, 1]) + base[k, 2] * places[:, 2] for k in range(3)], 1)
+    return np.stack(
+        [(base[k, 0] * positions[:, 0] + base[k, 1] * positions[:, 1]) + base[k, 2] * positions[:, 2] for k in range(3)], 1
+    )
 
 
 def legs_of(body: Definition) -> LegsData:
     """Return the legs of a body that has some, in body lengths."""
-    places = standing_joints(body)
+    positions = standing_joints(body)
     chains = [chain(body.rig, leg) for leg in body.legs]
-    hip, knee, foot = (places[[getattr(each, name) for each in chains]] for name in ("upper", "lower", "foot"))
+    hip, knee, foot = (positions[[getattr(each, name) for each in chains]] for name in ("upper", "lower", "foot"))
     length = _lengths(knee - hip) + _lengths(foot - knee)
     per = 1.0 / body.length
     gaits = tuple(GaitData(g.speed * per, g.stride * per, g.duty, g.lift * per, g.phases) for g in body.gaits)

@@ -36,7 +36,7 @@ class FeetOfBodies:
     rise: Floats
     tilt: Floats
 
-    def less(self, stands: Floats) -> FeetOfBodies:
+    def scale_trunk(self, stands: Floats) -> FeetOfBodies:
         """Return the same with the movement of trunks scaled by `stands` [n], from 0 to 1."""
         tilt = self.tilt * stands[:, None]
         tilt[:, 3] += 1 - stands
@@ -109,7 +109,7 @@ class Legs:
         """Return the axes float32[L, 3], in the definition's space, about which knees bend that are straight in a pose."""
         return np.concatenate([self._straight_axis(each) for each in self._chains], axis=1).T
 
-    def kept(self, clips: Sequence[tuple[str, str] | Played], machines: Sequence[MachineClips], count: int) -> Floats:
+    def stance_weights(self, clips: Sequence[tuple[str, str] | Played], machines: Sequence[MachineClips], count: int) -> Floats:
         """Return how strongly the feet of `count` agents are placed, float32[n] from 0 to 1. Clips that leave feet free lower it,
         by the layers and weights of their poses."""
         stands = np.ones(count, np.float32)
@@ -127,7 +127,7 @@ class Legs:
             stands = stands * (1 - over) + over * (1 - loose / np.where(weight > 0, weight, np.float32(1)))
         return stands.astype(np.float32)
 
-    def bent(self, poses: Poses, feet: FeetOfBodies, stands: Floats) -> Poses:
+    def bend_legs(self, poses: Poses, feet: FeetOfBodies, stands: Floats) -> Poses:
         """Return poses with the feet at their targets, weighted by `stands` [n], on trunks that are moved by `rise` and `tilt`.
         `local` is None."""
         world = np.array(poses.world.transpose(2, 3, 1, 0), np.float32, order="C")
@@ -141,13 +141,13 @@ class Legs:
     def _goals(self, feet: FeetOfBodies) -> list[Floats]:
         """Return the goal of each foot joint, float32[3, n], in the definition's space before the trunk moves."""
         turn = _rotation(feet.tilt).astype(np.float32)
-        found = []
+        goals = []
         for k in range(len(self._chains)):
             x, y, z = feet.place[:, k, 0], feet.place[:, k, 1] + self.soles[k] - feet.rise, feet.place[:, k, 2]
             q = [(turn[0, r] * x + turn[1, r] * y) + turn[2, r] * z for r in range(3)]
             b = self._base * self._length
-            found.append(np.stack([(b[0, r] * q[0] + b[1, r] * q[1]) + b[2, r] * q[2] for r in range(3)]))
-        return found
+            goals.append(np.stack([(b[0, r] * q[0] + b[1, r] * q[1]) + b[2, r] * q[2] for r in range(3)]))
+        return goals
 
     def _sink(self, world: Floats, goals: list[Floats], down: NDArray[np.bool_], stands: Floats) -> None:
         """Lower bodies until feet on the ground can reach it: the trunk of a clip may be too high for the stance."""
@@ -155,9 +155,9 @@ class Legs:
         for k, (each, goal) in enumerate(zip(self._chains, goals, strict=True)):
             hip, knee, foot = (world[:, 3, joint] for joint in (each.upper, each.lower, each.foot))
             length = (_length(knee - hip) + _length(foot - knee)) * np.float32(STRAIGHT)
-            way = goal - hip
-            high = _dot(way, self._up[:, None])
-            level = np.maximum(length * length - np.maximum(_dot(way, way) - high * high, 0), 0)
+            displacement = goal - hip
+            high = _dot(displacement, self._up[:, None])
+            level = np.maximum(length * length - np.maximum(_dot(displacement, displacement) - high * high, 0), 0)
             short = np.clip(-np.sqrt(level) - high, 0, np.float32(_SUNK) * length)
             most = np.maximum(most, np.where(down[:, k], short, 0))
         world[:, 3] -= self._up[:, None, None] * (most * stands)
@@ -170,16 +170,16 @@ class Legs:
         a, b = _length(thigh), _length(shank)
         tiny = np.float32(1e-6) * self._length
         a, b = np.maximum(a, tiny), np.maximum(b, tiny)
-        way = goal - hip
-        far = np.clip(_length(way), np.abs(a - b) * np.float32(_FOLDED), (a + b) * np.float32(STRAIGHT))
+        hip_to_goal = goal - hip
+        far = np.clip(_length(hip_to_goal), np.abs(a - b) * np.float32(_FOLDED), (a + b) * np.float32(STRAIGHT))
         old = np.clip(_dot(thigh, shank) / (a * b), -1, 1)
         new = np.clip((a * a + b * b - far * far) / (2 * a * b), -1, 1)
         old_sine, new_sine = np.sqrt(1 - old * old), np.sqrt(1 - new * new)
         axis = self._knee_axis(world, leg, thigh, shank, a * b)
-        turn = _about(axis, new * old + new_sine * old_sine, new_sine * old - new * old_sine)
+        turn = _axis_rotation(axis, new * old + new_sine * old_sine, new_sine * old - new * old_sine)
         _turn(world, np.concatenate([leg.shank, leg.sole]), turn, knee)
         reached = world[:, 3, leg.foot] - hip
-        turn = _onto(_unit(reached), _unit(way))
+        turn = _onto(_unit(reached), _unit(hip_to_goal))
         _turn(world, np.concatenate([leg.thigh, leg.shank, leg.sole]), turn, hip)
         moved = world[:, 3, leg.foot] - foot
         world[:, :, leg.sole] = sole
@@ -219,17 +219,17 @@ def _rotation(quaternions: NDArray[np.floating]) -> Numbers:
     return composed(np.zeros((3, q.shape[1])), q, None, None, np.empty((3, 4, q.shape[1])))[:, :3]
 
 
-def _turn(world: Floats, joints: Joints, turn: Floats, about: Floats) -> None:
+def _turn(world: Floats, joints: Joints, turn: Floats, pivots: Floats) -> None:
     """Turns joints by matrices [3, 3, n] about points [3, n], in place."""
     old = world[:, :, joints]
-    old[:, 3] -= about[:, None]
+    old[:, 3] -= pivots[:, None]
     for r in range(3):
         new = (turn[r, 0] * old[0] + turn[r, 1] * old[1]) + turn[r, 2] * old[2]
-        new[3] += about[r]
+        new[3] += pivots[r]
         world[r][:, joints] = new
 
 
-def _about(axis: Floats, cosine: Floats, sine: Floats) -> Floats:
+def _axis_rotation(axis: Floats, cosine: Floats, sine: Floats) -> Floats:
     """Matrices [3, 3, n] of turns about unit axes [3, n] (Rodrigues)."""
     x, y, z = axis
     left = 1 - cosine
@@ -253,8 +253,8 @@ def _onto(a: Floats, b: Floats) -> Floats:
 
 
 def _dot(a: Floats, b: Floats) -> Floats:
-    found: Floats = (a[0] * b[0] + a[1] * b[1]) + a[2] * b[2]
-    return found
+    product: Floats = (a[0] * b[0] + a[1] * b[1]) + a[2] * b[2]
+    return product
 
 
 def _cross(a: Floats, b: Floats) -> Floats:

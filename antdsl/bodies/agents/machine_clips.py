@@ -37,8 +37,8 @@ class MachineClips:
     def rows(self, chosen: NDArray[np.intp] | NDArray[np.bool_]) -> MachineClips:
         """The same of some agents."""
         parts: list[Any] = [getattr(self, name) for name in FIELDS]
-        kept: list[Any] = [None if part is None else part[chosen] for part in parts]
-        return MachineClips(*kept)
+        row_parts: list[Any] = [None if part is None else part[chosen] for part in parts]
+        return MachineClips(*row_parts)
 
     def slots(self) -> Iterator[tuple[NDArray[np.int16], Floats, Floats]]:
         """Yield clips, turns and shares of the pose float32[n], from the clip that fades out first to the current one."""
@@ -139,12 +139,12 @@ def _slots(
         row = np.where((clip >= 0) & (clip < len(played)), clip, len(played))
         exact = turns.astype(np.float64)
         far = np.where(loops[row], exact - np.floor(exact), np.minimum(exact, 1.0))
-        for way, share in enumerate(_shares(numbers[row], lean)):
+        for side, share in enumerate(_shares(numbers[row], lean)):
             if share is None:
                 continue
             for add in (False, True) if adds.any() else (False,):
                 yield _Slot(
-                    number, add, numbers[row, way], far * seconds[row, way],
+                    number, add, numbers[row, side], far * seconds[row, side],
                     np.where(adds[row] == add, weight * share, np.float32(0)), group_of[row],
                 )  # fmt: skip
 
@@ -156,12 +156,12 @@ def _shares(numbers: NDArray[np.int32], lean: Floats | None) -> Iterator[Floats 
     if lean is None or not (numbers[:, 1:] != REST).any():
         yield ones
         return
-    ways = np.stack([lean[:, 0], -lean[:, 0], lean[:, 1], -lean[:, 1]], axis=1)
-    ways = np.where(numbers[:, 1:] != REST, np.clip(np.nan_to_num(ways), 0, 1), 0).astype(np.float32)
-    ways /= np.maximum(ways.sum(axis=1), 1)[:, None]
-    yield 1 - ways.sum(axis=1)
-    for way in ways.T:
-        yield np.ascontiguousarray(way) if way.any() else None
+    side_shares = np.stack([lean[:, 0], -lean[:, 0], lean[:, 1], -lean[:, 1]], axis=1)
+    side_shares = np.where(numbers[:, 1:] != REST, np.clip(np.nan_to_num(side_shares), 0, 1), 0).astype(np.float32)
+    side_shares /= np.maximum(side_shares.sum(axis=1), 1)[:, None]
+    yield 1 - side_shares.sum(axis=1)
+    for side_share in side_shares.T:
+        yield np.ascontiguousarray(side_share) if side_share.any() else None
 
 
 def _number(table: ClipTable, name: str) -> int:

@@ -47,8 +47,10 @@ def _clip(clip: Clip, change: Floats, back: Floats) -> Clip:
         return clip
     move, turn, scale = (each.astype(np.float64) for each in (clip.translation, clip.rotation, clip.scale))
     matrices = matrix_of(move, turn, scale, None if clip.shear is None else clip.shear.astype(np.float64))
-    made = followed_by(followed_by(np.broadcast_to(change, matrices.shape), matrices), np.broadcast_to(back, matrices.shape))
-    move, _, scale, shear = parts_of(made)
+    new_matrices = followed_by(
+        followed_by(np.broadcast_to(change, matrices.shape), matrices), np.broadcast_to(back, matrices.shape)
+    )
+    move, _, scale, shear = parts_of(new_matrices)
     axis = change[:3, :3] / np.abs(np.linalg.det(change[:3, :3])) ** (1 / 3)
     # the axis of a turn is turned, its angle stays: no sign is lost from sample to sample
     turn = np.concatenate([clip.rotation[..., :3] @ axis.T, clip.rotation[..., 3:]], axis=-1)

@@ -91,29 +91,29 @@ def packed(body: Definition) -> Arrays:
     if body.variation:
         document["variation"] = [dict(body.variation.scales), dict(body.variation.materials)]
     text = json.dumps(document, ensure_ascii=True, separators=(",", ":"), allow_nan=False)
-    made: Arrays = {"text": np.frombuffer(text.encode("ascii"), np.uint8)}
-    return made | {kind: np.concatenate([np.zeros(0, kind), *flat[kind]]) for kind in KINDS}
+    packed_arrays: Arrays = {"text": np.frombuffer(text.encode("ascii"), np.uint8)}
+    return packed_arrays | {kind: np.concatenate([np.zeros(0, kind), *flat[kind]]) for kind in KINDS}
 
 
 @lru_cache(maxsize=16)
 def digest(body: Definition) -> str:
     """Return a hash of all that `packed` stores of a definition. The definition must not change after it is built."""
-    made = hashlib.blake2b(digest_size=16)
+    hasher = hashlib.blake2b(digest_size=16)
     for name, array in packed(body).items():
-        made.update(f"{name} {array.size} ".encode())
-        made.update(array.astype(array.dtype.newbyteorder("<"), copy=False).tobytes())
-    return made.hexdigest()
+        hasher.update(f"{name} {array.size} ".encode())
+        hasher.update(array.astype(array.dtype.newbyteorder("<"), copy=False).tobytes())
+    return hasher.hexdigest()
 
 
 def read_packed(arrays: Mapping[str, NDArray[Any]]) -> Definition:
     """The definition that `packed` made these arrays of: each place, type, shape and index is checked, but not that what one part
     names is in another (`body_arrays.unpacked` of caches). Raises BodyError for any others: nothing in them is trusted."""
     try:
-        found = _read(arrays)
-        _bounds(found)
+        definition = _read(arrays)
+        _bounds(definition)
     except (KeyError, TypeError, ValueError, IndexError, AttributeError, OverflowError, RecursionError):
         raise BodyError("is damaged: what it says of a body does not hold together") from None
-    return found
+    return definition
 
 
 def _read(arrays: Mapping[str, NDArray[Any]]) -> Definition:
@@ -124,13 +124,17 @@ def _read(arrays: Mapping[str, NDArray[Any]]) -> Definition:
     if said["body"] != 1:
         raise ValueError
 
-    def get(place: Any, *wanted: int | None, kind: str = "f4") -> NDArray[Any]:
+    def get(place: Any, *expected_sides: int | None, kind: str = "f4") -> NDArray[Any]:
         """Return an array of the given kind and numbers of rows; None allows any number."""
         own, first, shape = place
-        sides = tuple(_whole(side) for side in shape)
-        if own != kind or len(sides) != len(wanted) or any(w is not None and w != s for s, w in zip(sides, wanted, strict=True)):
+        sides = tuple(_integer(side) for side in shape)
+        if (
+            own != kind
+            or len(sides) != len(expected_sides)
+            or any(w is not None and w != s for s, w in zip(sides, expected_sides, strict=True))
+        ):
             raise ValueError
-        from_, array = _whole(first), arrays[kind]
+        from_, array = _integer(first), arrays[kind]
         if array.dtype != np.dtype(kind) or array.ndim != 1 or from_ + prod(sides) > array.size:
             raise ValueError
         return array[from_ : from_ + prod(sides)].reshape(sides)
@@ -167,17 +171,17 @@ def _read(arrays: Mapping[str, NDArray[Any]]) -> Definition:
 
     def clip(each: Any) -> Clip:
         joints, channels = _texts(each["joints"]), _texts(each["channels"])
-        places = each["arrays"]
-        count = _whole(places[0][2][0])
+        array_places = each["arrays"]
+        count = _integer(array_places[0][2][0])
         moved = [None if place is None else get(place, count, len(joints), wide)
-                 for place, wide in zip(places[:4], (3, 4, 3, 3), strict=True)]  # fmt: skip
+                 for place, wide in zip(array_places[:4], (3, 4, 3, 3), strict=True)]  # fmt: skip
         if moved[0] is None or moved[1] is None or moved[2] is None:
             raise ValueError
         rate, stride = _number(each["rate"]), _number(each["stride"])
-        marks = {_text(name): _number(moment) for name, moment in each["marks"].items()}
+        marks = {_text(name): _number(mark_time) for name, mark_time in each["marks"].items()}
         return Clip(
             _text(each["name"]), rate, joints, moved[0], moved[1], moved[2], moved[3], channels,
-            get(places[4], None, None), bool(each["loop"]), stride, marks, bool(each["feet"]),
+            get(array_places[4], None, None), bool(each["loop"]), stride, marks, bool(each["feet"]),
         )  # fmt: skip
 
     def layer(each: Any) -> Layer:
@@ -205,11 +209,11 @@ def _read(arrays: Mapping[str, NDArray[Any]]) -> Definition:
 
 
 def _variation(scales: Any, materials: Any) -> Variation:
-    found = {_text(name): _numbers(ends) for name, ends in scales.items()}
-    colours = {_text(name): tuple(map(_three, given)) for name, given in materials.items()}
-    if any(len(ends) != 2 or not 0 < ends[0] <= ends[1] for ends in found.values()) or any(len(c) < 2 for c in colours.values()):
+    ranges = {_text(name): _numbers(ends) for name, ends in scales.items()}
+    colours = {_text(name): tuple(map(_three, choices)) for name, choices in materials.items()}
+    if any(len(ends) != 2 or not 0 < ends[0] <= ends[1] for ends in ranges.values()) or any(len(c) < 2 for c in colours.values()):
         raise ValueError
-    return Variation({name: (ends[0], ends[1]) for name, ends in found.items()}, colours)
+    return Variation({name: (ends[0], ends[1]) for name, ends in ranges.items()}, colours)
 
 
 def _gait(name: Any, speed: Any, stride: Any, duty: Any, lift: Any, phases: Any) -> Gait:
@@ -251,7 +255,7 @@ def _within(numbers: NDArray[Any], count: int) -> bool:
     return bool(((numbers >= 0) & (numbers < count)).all())
 
 
-def _whole(value: Any) -> int:
+def _integer(value: Any) -> int:
     if not isinstance(value, int) or isinstance(value, bool) or not 0 <= value < 1 << 48:
         raise ValueError
     return value

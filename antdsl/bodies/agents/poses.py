@@ -51,16 +51,16 @@ def sampled(table: ClipTable, clips: NDArray[np.integer], times: NDArray[np.floa
 
     A clip that loops is periodic, before time 0 too; any other clip holds its first and its last sample. Clip -1 is the rest
     pose. A time that is not finite counts as 0. Raises IndexError for a clip number out of range."""
-    row, after, share = _places(table, clips, times)
+    row, next_row, share = _sample_rows(table, clips, times)
     if not len(table.order) + len(table.rig.channels):
         return _pose(table, np.empty((0, len(row)), np.float32))
-    found = table.samples.take(row, axis=0)
-    step = table.samples.take(after, axis=0)
-    step -= found
+    samples = table.samples.take(row, axis=0)
+    step = table.samples.take(next_row, axis=0)
+    step -= samples
     step *= share[:, None]
-    found += step
-    turned = np.empty(found.shape[::-1], np.float32)
-    turned[:] = found.T
+    samples += step
+    turned = np.empty(samples.shape[::-1], np.float32)
+    turned[:] = samples.T
     pose = _pose(table, turned)
     normalised(pose.rotation)
     return pose
@@ -88,33 +88,33 @@ def transforms(table: ClipTable, pose: Pose) -> tuple[Floats, Floats]:
 def world_transforms(table: ClipTable, local: Floats) -> Floats:
     """Return world transforms float32[n, J, 3, 4] of local ones, joints in the order of the rig. For transforms that are not a
     clip's, such as those of legs after inverse kinematics or of a head that looks at something."""
-    found = np.empty((3, 4, local.shape[1], len(local)), np.float32)
-    found[:, :, table.order] = _placed(table, local.transpose(2, 3, 1, 0)[:, :, table.order])
-    return found.transpose(3, 2, 0, 1)
+    world = np.empty((3, 4, local.shape[1], len(local)), np.float32)
+    world[:, :, table.order] = _placed(table, local.transpose(2, 3, 1, 0)[:, :, table.order])
+    return world.transpose(3, 2, 0, 1)
 
 
 def local_transforms(table: ClipTable, world: Floats) -> Floats:
     """Return the local transforms float32[n, J, 3, 4] of world transforms, joints in the order of the rig. They are each parent's
     inverse times the joint's own transform. A parent with scale 0 loses the local transforms of its children."""
     placed = world.transpose(2, 3, 1, 0)
-    found = np.array(placed, np.float32)
+    local = np.array(placed, np.float32)
     children = np.flatnonzero(np.asarray(table.rig.parents) >= 0)
     above = placed[:, :, np.asarray(table.rig.parents)[children]]
     back = np.empty(above.shape, np.float32)
     back[:, :3] = inverse_transposed(above).transpose(1, 0, 2, 3)
     for r in range(3):
         back[r, 3] = -((back[r, 0] * above[0, 3] + back[r, 1] * above[1, 3]) + back[r, 2] * above[2, 3])
-    found[:, :, children] = times(back, placed[:, :, children], np.empty(above.shape, np.float32))
-    return found.transpose(3, 2, 0, 1)
+    local[:, :, children] = times(back, placed[:, :, children], np.empty(above.shape, np.float32))
+    return local.transpose(3, 2, 0, 1)
 
 
 def square(matrices: Floats) -> Floats:
     """Return matrices float32[…, 4, 4] from matrices of three rows, each agent contiguous: for column vectors, as everywhere
     here."""
-    found = np.zeros((*matrices.shape[:-2], 4, 4), np.float32)
-    found[..., :3, :] = matrices
-    found[..., 3, 3] = 1
-    return found
+    squares = np.zeros((*matrices.shape[:-2], 4, 4), np.float32)
+    squares[..., :3, :] = matrices
+    squares[..., 3, 3] = 1
+    return squares
 
 
 def _placed(table: ClipTable, local: Floats) -> Floats:
@@ -129,7 +129,7 @@ def _placed(table: ClipTable, local: Floats) -> Floats:
     return world
 
 
-def _places(
+def _sample_rows(
     table: ClipTable, clips: NDArray[np.integer], times: NDArray[np.floating]
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], Floats]:
     """Return the rows of the samples before and after each agent's time, and the fraction between them."""
@@ -142,9 +142,9 @@ def _places(
     turn = np.where(last > 0, last, 1).astype(np.float64)
     at = np.where(table.loops[clip], at - np.floor(at / turn) * turn, at)
     at = np.minimum(np.maximum(at, 0.0), last)
-    before = np.minimum(np.floor(at), np.maximum(last - 1, 0))
-    row = table.first[clip] + before.astype(np.int64)
-    return row, np.minimum(row + 1, table.first[clip] + last), (at - before).astype(np.float32)
+    lower_sample = np.minimum(np.floor(at), np.maximum(last - 1, 0))
+    row = table.first[clip] + lower_sample.astype(np.int64)
+    return row, np.minimum(row + 1, table.first[clip] + last), (at - lower_sample).astype(np.float32)
 
 
 def _pose(table: ClipTable, rows: Floats) -> Pose:
@@ -214,10 +214,10 @@ def clip_table(definition: Definition) -> ClipTable:
     rest[3][np.abs(rest[3]) < 1e-7] = 0  # what is left of rounding is no shear
     scaled = bool((np.abs(rest[2] - 1) > 1e-6).any()) or any((clip.scale != 1).any() for clip in clips)
     sheared = bool(rest[3].any()) or any(clip.shear is not None and clip.shear.any() for clip in clips)
-    kept = [*rest[:2], *([rest[2]] if scaled else []), *([rest[3]] if sheared else [])]
-    blocks = [_row(rig, kept, order)]
+    rest_parts = [*rest[:2], *([rest[2]] if scaled else []), *([rest[3]] if sheared else [])]
+    blocks = [_row(rig, rest_parts, order)]
     for clip in clips:
-        blocks.append(_rows(clip, rig, kept, order, scaled, sheared))
+        blocks.append(_rows(clip, rig, rest_parts, order, scaled, sheared))
     counts = np.array([len(block) for block in blocks], np.int64)
     return ClipTable(
         rig, tuple(definition.clips), np.concatenate(blocks), np.concatenate([[0], np.cumsum(counts)[:-1]]), counts,
@@ -255,27 +255,29 @@ def _rows(clip: Clip, rig: Rig, rest: list[NDArray[np.float64]], order: NDArray[
     count = clip.samples
     if count < 1 or not clip.rate > 0:
         raise ValueError(f"clip `{clip.name}` has no samples, or a rate that is not above 0")
-    given = [clip.translation, clip.rotation, *([clip.scale] if scaled else []), *([clip.shear] if sheared else [])]
-    wanted = [(count, len(clip.joints), width) for width in (3, 4, 3, 3)]
-    found = [np.repeat(part[None], count, 0) for part in rest]
+    clip_parts = [clip.translation, clip.rotation, *([clip.scale] if scaled else []), *([clip.shear] if sheared else [])]
+    expected_shapes = [(count, len(clip.joints), width) for width in (3, 4, 3, 3)]
+    rig_parts = [np.repeat(part[None], count, 0) for part in rest]
     numbers = {name: number for number, name in enumerate(rig.names)}
     known = [(place, numbers[name]) for place, name in enumerate(clip.joints) if name in numbers]
-    there, here = (np.array(side, np.intp) for side in zip(*known, strict=True)) if known else (np.zeros(0, np.intp),) * 2
-    for place, part in enumerate(given):
+    clip_joints, rig_joints = (
+        (np.array(side, np.intp) for side in zip(*known, strict=True)) if known else (np.zeros(0, np.intp),) * 2
+    )
+    for place, part in enumerate(clip_parts):
         if part is None:
-            found[place][:, :, here] = 0  # a clip without shears says that there are none
+            rig_parts[place][:, :, rig_joints] = 0  # a clip without shears says that there are none
             continue
-        if clip.joints and part.shape != wanted[place]:
-            raise ValueError(f"clip `{clip.name}` has an array {part.shape} where {wanted[place]} is needed")
+        if clip.joints and part.shape != expected_shapes[place]:
+            raise ValueError(f"clip `{clip.name}` has an array {part.shape} where {expected_shapes[place]} is needed")
         if known:
-            found[place][:, :, here] = np.moveaxis(part.astype(np.float64)[:, there], 2, 1)
-    found[1] = _shorter(normalised(np.moveaxis(found[1], 1, 0)), rest[1])
+            rig_parts[place][:, :, rig_joints] = np.moveaxis(part.astype(np.float64)[:, clip_joints], 2, 1)
+    rig_parts[1] = _shorter(normalised(np.moveaxis(rig_parts[1], 1, 0)), rest[1])
     values = np.repeat(rig.defaults[None], count, 0)
     names = {each.name: number for number, each in enumerate(rig.channels)}
     for place, name in enumerate(clip.channels):
         if name in names:
             values[:, names[name]] = clip.values[:, place]
-    rows = [part[:, :, order].reshape(count, -1) for part in found]
+    rows = [part[:, :, order].reshape(count, -1) for part in rig_parts]
     return np.concatenate([*rows, values], axis=1).astype(np.float32)
 
 
@@ -283,8 +285,8 @@ def _shorter(rotation: NDArray[np.float64], rest: NDArray[np.float64]) -> NDArra
     """Return quaternions [4, F, J] as [F, 4, J] with continuous signs. Each sample has the sign nearest to the sample before it,
     the first the sign nearest to the rest [4, J]. So interpolation takes the shorter path without a test, and clips seldom need a
     change of sign."""
-    before = np.concatenate([rest[:, None], rotation[:, :-1]], 1)
-    near = before * rotation
+    previous_rotation = np.concatenate([rest[:, None], rotation[:, :-1]], 1)
+    near = previous_rotation * rotation
     dots = ((near[0] + near[1]) + near[2]) + near[3]
     sign = np.cumprod(np.where(dots < 0, -1.0, 1.0), axis=0)
     return np.moveaxis(rotation * sign, 0, 1)

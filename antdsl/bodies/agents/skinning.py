@@ -34,21 +34,21 @@ class Deformed:
     attributes: dict[str, Floats]
 
 
-def linear(given: Deformed, shape: Shape, definition: Definition, poses: Poses) -> Deformed:
+def linear(deformed: Deformed, shape: Shape, definition: Definition, poses: Poses) -> Deformed:
     """Linear blend skinning. Raises ValueError for a shape without a capture, KeyError for joints that the rig does not have."""
     joints, weights, matrices = _captured(shape, definition, poses)
-    x, y, z = _components(given.points)
+    x, y, z = _components(deformed.points)
     points = np.empty((3, len(joints), matrices.shape[-1]), np.float32)
     for r in range(3):
         a, b, c, d = (_mean(matrices[r, k], joints, weights) for k in range(4))
         points[r] = ((a * x + b * y) + c * z) + d
     normals = None
-    if given.normals is not None:
-        normals = turned(given.normals, _means(inverse_transposed(matrices), joints, weights))
-    return Deformed(points.transpose(2, 1, 0), normals, given.attributes)
+    if deformed.normals is not None:
+        normals = turned(deformed.normals, _means(inverse_transposed(matrices), joints, weights))
+    return Deformed(points.transpose(2, 1, 0), normals, deformed.attributes)
 
 
-def dual_quaternion(given: Deformed, shape: Shape, definition: Definition, poses: Poses) -> Deformed:
+def dual_quaternion(deformed: Deformed, shape: Shape, definition: Definition, poses: Poses) -> Deformed:
     """Dual quaternion skinning in two phases. Raises as `linear`."""
     joints, weights, matrices = _captured(shape, definition, poses)
     rotation = rotation_part(matrices)
@@ -57,41 +57,41 @@ def dual_quaternion(given: Deformed, shape: Shape, definition: Definition, poses
     moved = np.concatenate([matrices[:, 3], np.zeros_like(matrices[:1, 3])])
     dual = (0.5 * product(moved.astype(np.float64), real)).astype(np.float32)
     turn, shift = _blended(real.astype(np.float32), dual, joints, weights)
-    points = apply(_means(rest, joints, weights), given.points)
+    points = apply(_means(rest, joints, weights), deformed.points)
     turn_points(points, turn)
     points += shift
     normals = None
-    if given.normals is not None:
-        across = apply(_means(inverse_transposed(rest), joints, weights), given.normals)
+    if deformed.normals is not None:
+        across = apply(_means(inverse_transposed(rest), joints, weights), deformed.normals)
         turn_points(across, turn)
         normals = unit(across).transpose(2, 1, 0)
-    return Deformed(points.transpose(2, 1, 0), normals, given.attributes)
+    return Deformed(points.transpose(2, 1, 0), normals, deformed.attributes)
 
 
-def dual_quaternion_blend(given: Deformed, shape: Shape, definition: Definition, poses: Poses) -> Deformed:
+def dual_quaternion_blend(deformed: Deformed, shape: Shape, definition: Definition, poses: Poses) -> Deformed:
     """Blend between linear (0) and dual quaternion skinning (1) by the point attribute that `Shape.dual_quaternion_blend` names
     (deformDualQuaternionBlendAttrib). Raises as `linear`, and ValueError if the shape lacks the attribute."""
     name = shape.dual_quaternion_blend
     if name not in shape.attributes:
         raise ValueError(f"shape `{shape.name}` has no point attribute `{name}` (deformDualQuaternionBlendAttrib) to blend by")
     share = shape.attributes[name].astype(np.float32).reshape(-1)[None, :, None]
-    straight, turned_ = linear(given, shape, definition, poses), dual_quaternion(given, shape, definition, poses)
+    straight, turned_ = linear(deformed, shape, definition, poses), dual_quaternion(deformed, shape, definition, poses)
     points = straight.points + (turned_.points - straight.points) * share
     normals = None
     if straight.normals is not None and turned_.normals is not None:
         mixed = straight.normals + (turned_.normals - straight.normals) * share
         normals = unit(mixed.transpose(2, 1, 0)).transpose(2, 1, 0)
-    return Deformed(points, normals, given.attributes)
+    return Deformed(points, normals, deformed.attributes)
 
 
 def apply(matrices: Numbers, points: Floats) -> Floats:
     """Return points [n, P, 3] transformed by matrices [3, 3 or 4, P, n], as [3, P, n]; matrices of three columns transform
     directions."""
     x, y, z = _components(points)
-    found = np.stack([(m[0] * x + m[1] * y) + m[2] * z for m in matrices])
+    products = np.stack([(m[0] * x + m[1] * y) + m[2] * z for m in matrices])
     if matrices.shape[1] == 4:
-        found += matrices[:, 3]
-    return found
+        products += matrices[:, 3]
+    return products
 
 
 def turned(normals: Floats, matrices: Numbers) -> Floats:
@@ -146,13 +146,13 @@ def _components(points: Floats) -> tuple[Floats, Floats, Floats]:
 
 def _mean(values: Floats, joints: NDArray[np.intp], weights: Floats) -> Floats:
     """Return the mean [P, n] of joint values [joints, n] by the weights of points."""
-    found = values.take(joints[:, 0], axis=0)
-    found *= weights[:, 0, None]
+    mean = values.take(joints[:, 0], axis=0)
+    mean *= weights[:, 0, None]
     for k in range(1, joints.shape[1]):
         part = values.take(joints[:, k], axis=0)
         part *= weights[:, k, None]
-        found += part
-    return found
+        mean += part
+    return mean
 
 
 def _means(matrices: Floats, joints: NDArray[np.intp], weights: Floats) -> Floats:
@@ -163,11 +163,11 @@ def _means(matrices: Floats, joints: NDArray[np.intp], weights: Floats) -> Float
 def _rest_of(rotation: NDArray[np.float64], matrices: Floats) -> Floats:
     """Return the remainder of matrices M without their rotation R: S = R⁻¹ M, float32[3, 3, joints, n]."""
     m = matrices[:, :3].astype(np.float64)
-    found = np.empty(m.shape, np.float32)
+    rest = np.empty(m.shape, np.float32)
     for r in range(3):
         for c in range(3):
-            found[r, c] = (rotation[0, r] * m[0, c] + rotation[1, r] * m[1, c]) + rotation[2, r] * m[2, c]
-    return found
+            rest[r, c] = (rotation[0, r] * m[0, c] + rotation[1, r] * m[1, c]) + rotation[2, r] * m[2, c]
+    return rest
 
 
 def _blended(real: Floats, dual: Floats, joints: NDArray[np.intp], weights: Floats) -> tuple[Floats, Floats]:

@@ -40,8 +40,8 @@ def rotation_of(matrix: Floats) -> Floats:
         ]
     )
     best = np.argmax(four, axis=0)
-    found = np.take_along_axis(rows, best[None, None], axis=0)[0].T
-    return unit_quaternion(np.where(found[:, 3:] < 0, -found, found)).reshape(*matrix.shape[:-2], 4)
+    quaternions = np.take_along_axis(rows, best[None, None], axis=0)[0].T
+    return unit_quaternion(np.where(quaternions[:, 3:] < 0, -quaternions, quaternions)).reshape(*matrix.shape[:-2], 4)
 
 
 def unit_quaternion(quaternion: Floats) -> Floats:
@@ -59,14 +59,14 @@ def product(a: Floats, b: Floats) -> Floats:
 def rotation_of_angles(angles: Floats, order: str) -> Floats:
     """Return unit quaternions float64[..., 4] of radians float64[..., 3] about x, y and z, applied in `order`: "xyz" rotates
     about x first. Signs are continuous along the first axis."""
-    found = np.broadcast_to(np.array([0.0, 0.0, 0.0, 1.0]), (*angles.shape[:-1], 4))
+    rotation = np.broadcast_to(np.array([0.0, 0.0, 0.0, 1.0]), (*angles.shape[:-1], 4))
     for letter in order:
         axis = "xyz".index(letter)
         turn = np.zeros((*angles.shape[:-1], 4))
         half = np.ascontiguousarray(angles[..., axis] / 2)
         turn[..., axis], turn[..., 3] = wide_sin(half), wide_cos(half)
-        found = product(turn, found)
-    return one_sign(unit_quaternion(found))
+        rotation = product(turn, rotation)
+    return one_sign(unit_quaternion(rotation))
 
 
 def angles_of_rotation(quaternion: Floats) -> Floats:
@@ -92,8 +92,8 @@ def between_rotations(a: Floats, b: Floats, share: Floats) -> Floats:
     """Return the rotation at `share` float64[...] of the shortest path from `a` to `b`, float64[..., 4], at constant speed
     (Shoemake, Animating Rotation with Quaternion Curves, 1985)."""
     b = np.where((a * b).sum(axis=-1, keepdims=True) < 0, -b, b)
-    apart, along = np.sqrt(((a - b) ** 2).sum(axis=-1)), np.sqrt(((a + b) ** 2).sum(axis=-1))
-    angle = 2 * wide_atan2(apart, along)
+    chord, along = np.sqrt(((a - b) ** 2).sum(axis=-1)), np.sqrt(((a + b) ** 2).sum(axis=-1))
+    angle = 2 * wide_atan2(chord, along)
     sine = wide_sin(angle)
     wide = sine > 1e-9
     divisor = np.where(wide, sine, 1.0)
@@ -105,12 +105,12 @@ def between_rotations(a: Floats, b: Floats, share: Floats) -> Floats:
 def matrix_of(translation: Floats, rotation: Floats, scale: Floats, shear: Floats | None = None) -> Floats:
     """Matrices float64[..., 4, 4] of translations [..., 3], unit quaternions [..., 4], scales [..., 3] and shears [..., 3]."""
     count = translation[..., 0].size
-    made = np.zeros((count, 4, 4))
-    made[:, 3, 3] = 1.0
+    matrices = np.zeros((count, 4, 4))
+    matrices[:, 3, 3] = 1.0
     place, turn, size = (each.reshape(count, each.shape[-1]).T for each in (translation, rotation, scale))
     slant = None if shear is None else shear.reshape(count, 3).T
-    affine.composed(place, turn, size, slant, made[:, :3].transpose(1, 2, 0))
-    return made.reshape(*translation.shape[:-1], 4, 4)
+    affine.composed(place, turn, size, slant, matrices[:, :3].transpose(1, 2, 0))
+    return matrices.reshape(*translation.shape[:-1], 4, 4)
 
 
 def parts_of(matrix: Floats) -> tuple[Floats, Floats, Floats, Floats]:
@@ -129,9 +129,9 @@ def parts_of(matrix: Floats) -> tuple[Floats, Floats, Floats, Floats]:
     second = np.where(lone[..., None], spare, second)
     second = second / _lengths(second)[..., None]
     third = np.cross(first, second)
-    deep = (third * z).sum(axis=-1)
+    depth = (third * z).sum(axis=-1)
     xz, yz = (first * z).sum(axis=-1), (second * z).sum(axis=-1)
-    scale = np.stack([wide, high, deep], axis=-1)
+    scale = np.stack([wide, high, depth], axis=-1)
     over = np.where(np.abs(scale) > 1e-30, scale, 1.0)
     shear = np.stack([xy / over[..., 1], xz / over[..., 2], yz / over[..., 2]], axis=-1)
     return matrix[..., :3, 3], rotation_of(np.stack([first, second, third], axis=-1)), scale, shear
@@ -150,15 +150,15 @@ def followed_by(outer: Floats, inner: Floats) -> Floats:
     """Return the matrix float64[..., 4, 4] of `inner` followed by `outer`. Sums are explicit, so that every processor gives the
     same bits."""
     a, b = outer[..., :, :, None], inner[..., None, :, :]
-    found: Floats = ((a[..., 0, :] * b[..., 0, :] + a[..., 1, :] * b[..., 1, :]) + a[..., 2, :] * b[..., 2, :]) + a[
+    matrix: Floats = ((a[..., 0, :] * b[..., 0, :] + a[..., 1, :] * b[..., 1, :]) + a[..., 2, :] * b[..., 2, :]) + a[
         ..., 3, :
     ] * b[..., 3, :]
-    return found
+    return matrix
 
 
 def world_matrices(parents: NDArray[np.int32], local: Floats) -> Floats:
     """World matrices float64[J, 4, 4] of a rig's local ones, parents before children."""
-    found = np.empty_like(local)
+    world = np.empty_like(local)
     for joint, parent in enumerate(parents):
-        found[joint] = local[joint] if parent < 0 else followed_by(found[parent], local[joint])
-    return found
+        world[joint] = local[joint] if parent < 0 else followed_by(world[parent], local[joint])
+    return world

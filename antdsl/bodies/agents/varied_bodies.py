@@ -76,11 +76,11 @@ def colours_of(variation: Variation, draws: Draws | None, material: NDArray[np.s
     varied = [name for name in variation.materials if (material == name).any()]
     if draws is None or not varied:
         return own[None]
-    found = np.repeat(own[None], len(draws.ids), axis=0)
+    colours = np.repeat(own[None], len(draws.ids), axis=0)
     for name in varied:
-        given = np.array(variation.materials[name], np.float32)
+        key_colours = np.array(variation.materials[name], np.float32)
         at = place_of(variation, name, draws)
-        first = np.minimum(at.astype(np.intp), len(given) - 2)
+        first = np.minimum(at.astype(np.intp), len(key_colours) - 2)
         share = (at - first.astype(np.float32))[:, None]
-        found[:, material == name] = (given[first] + (given[first + 1] - given[first]) * share)[:, None]
-    return found
+        colours[:, material == name] = (key_colours[first] + (key_colours[first + 1] - key_colours[first]) * share)[:, None]
+    return colours

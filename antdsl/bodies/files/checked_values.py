@@ -48,9 +48,9 @@ class Values:
     def key(self, node: Node, key: str) -> Span:
         return Span(self.source, *node.keys[key]) if key in node.keys else self.head(node)
 
-    def wrong(self, node: Node, wanted: str, help: str | None) -> None:
+    def wrong(self, node: Node, expectation: str, help: str | None) -> None:
         place = self.head(node) if isinstance(node.value, dict | list) else self.span(node)
-        self.report.error("wrong-value", f"expected {wanted} here, not {kind_of(node)}", place, help)
+        self.report.error("wrong-value", f"expected {expectation} here, not {kind_of(node)}", place, help)
 
     def object(
         self, node: Node, what: str, known: Iterable[str], needed: dict[str, str] | None = None, *, strict: bool = True
@@ -145,12 +145,12 @@ class Values:
             words = f"{what} is a list of {count} numbers, and these are {len(values)}"
             self.report.error("wrong-value", words, self.span(node), None)
             return None
-        found = np.array(values, np.float64)
-        bad = np.flatnonzero((found < least) | (found > most))
+        array = np.array(values, np.float64)
+        bad = np.flatnonzero((array < least) | (array > most))
         if len(bad):
-            self._outside(number_place(self.source, node, int(bad[0])), what, float(found[bad[0]]), least, most)
+            self._outside(number_place(self.source, node, int(bad[0])), what, float(array[bad[0]]), least, most)
             return None
-        return found
+        return array
 
     @staticmethod
     def nodes(node: Node) -> Iterator[Node]:
@@ -161,14 +161,14 @@ class Values:
     def _is_number(node: Node) -> bool:
         return isinstance(node.value, int | float) and not isinstance(node.value, bool)
 
-    def version(self, entries: dict[str, Node], key: str, wanted: int) -> bool:
+    def version(self, entries: dict[str, Node], key: str, expected_version: int) -> bool:
         """Return whether a form's version is the supported one."""
         node = entries.get(key)
         if node is None:
             return False
-        if node.value != wanted or isinstance(node.value, bool):
+        if node.value != expected_version or isinstance(node.value, bool):
             words = f"`{key}` {self.span(node).text[:20]} is not one that is read"
-            self.report.error("wrong-value", words, self.span(node), f"write `{wanted}`, if the file is in that form")
+            self.report.error("wrong-value", words, self.span(node), f"write `{expected_version}`, if the file is in that form")
             return False
         return True
 

@@ -31,18 +31,18 @@ def read_clip(values: Values, node: Node, rig: Rig | None = None) -> Clip | None
     values.version(entries, "antdsl_clip", 1)
     name = values.text(entries["name"], "the name of a clip")
     rate = values.number(entries["rate"], "samples a second", 0.001, 100_000)
-    given = _channels(values, entries["channels"])
+    channels = _channels(values, entries["channels"])
     stride = values.number(entries.get("stride"), "a stride", 0.0) or 0.0
     loop = values.truth(entries.get("loop"), "whether the clip loops", True)
     feet = values.truth(entries.get("feet"), "whether feet stand while it plays", True)
-    if name is None or rate is None or not given:
+    if name is None or rate is None or not channels:
         return None
-    samples = max(len(array) for _, array in given.values())
-    joints, numbers = _joints(values, entries["channels"], given, rig)
+    samples = max(len(array) for _, array in channels.values())
+    joints, numbers = _joints(values, entries["channels"], channels, rig)
     if not _fits(values, entries["channels"], samples, len(joints) + len(numbers)):
         return None
     marks = read_marks(values, entries.get("marks"), (samples - 1) / rate)
-    turn = _turning(values, entries, any(":r" in channel for channel in given))
+    turn = _turning(values, entries, any(":r" in channel for channel in channels))
     if turn is None or not values.report.ok:
         return None
     parts = np.empty((samples, len(joints), 12))
@@ -50,14 +50,14 @@ def read_clip(values: Values, node: Node, rig: Rig | None = None) -> Clip | None
     rotation = np.empty((samples, len(joints), 4))
     for number, joint in enumerate(joints):
         for count, part in enumerate(PARTS):
-            if f"{joint}:{part}" in given:
-                parts[:, number, count] = given[f"{joint}:{part}"][1]
-        if any(f"{joint}:{part}" in given for part in PARTS[3:6]):
+            if f"{joint}:{part}" in channels:
+                parts[:, number, count] = channels[f"{joint}:{part}"][1]
+        if any(f"{joint}:{part}" in channels for part in PARTS[3:6]):
             rotation[:, number] = rotation_of_angles(parts[:, number, 3:6] * turn[1], turn[0])
         else:
             rotation[:, number] = rotation_of_angles(_rest_parts((joint,), rig)[:, 3:6], "xyz")
     sheared = bool((parts[..., 9:] != 0).any())
-    weights = np.array([np.broadcast_to(given[channel][1], samples) for channel in numbers]).reshape(len(numbers), samples).T
+    weights = np.array([np.broadcast_to(channels[channel][1], samples) for channel in numbers]).reshape(len(numbers), samples).T
     return Clip(
         name, rate, joints,
         parts[..., 0:3].astype(np.float32), one_sign(rotation).astype(np.float32), parts[..., 6:9].astype(np.float32),
@@ -71,7 +71,7 @@ def _channels(values: Values, node: Node) -> dict[str, tuple[Node, Floats]]:
     if not isinstance(node.value, dict) or not node.value:
         values.wrong(node, "an object of channels, each with a list of its samples,", 'write `{"JOINT:tx": [0, 1]}`')
         return {}
-    found: dict[str, tuple[Node, Floats]] = {}
+    channels: dict[str, tuple[Node, Floats]] = {}
     longest, first = 1, ""
     for channel, each in node.value.items():
         if isinstance(each.value, int | float):
@@ -90,19 +90,19 @@ def _channels(values: Values, node: Node) -> dict[str, tuple[Node, Floats]]:
             continue
         if len(array) > longest:
             longest, first = len(array), channel
-        found[channel] = (each, array)
-    return found
+        channels[channel] = (each, array)
+    return channels
 
 
 def _joints(
-    values: Values, node: Node, given: Mapping[str, tuple[Node, Floats]], rig: Rig | None
+    values: Values, node: Node, channels: Mapping[str, tuple[Node, Floats]], rig: Rig | None
 ) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """Return the joints that the channels move, and the channels that are numbers of the rig, in the order of the text."""
     joints: dict[str, None] = {}
     numbers: list[str] = []
     own = None if rig is None else {each.name for each in rig.channels}
     names = None if rig is None else set(rig.names)
-    for channel in given:
+    for channel in channels:
         joint, colon, part = channel.rpartition(":")
         if not colon or (own is not None and channel in own):
             numbers.append(channel)
@@ -133,19 +133,19 @@ def read_marks(values: Values, node: Node | None, seconds: float) -> dict[str, f
     if not isinstance(node.value, dict):
         values.wrong(node, "an object of marks with their seconds", 'write `{"NAME": 0.5}`')
         return {}
-    found = {}
+    marks = {}
     for name, each in node.value.items():
-        moment = values.number(each, f"the moment of the mark `{name[:40]}`", 0.0, seconds)
-        if moment is not None:
-            found[name] = moment
-    return found
+        mark_time = values.number(each, f"the moment of the mark `{name[:40]}`", 0.0, seconds)
+        if mark_time is not None:
+            marks[name] = mark_time
+    return marks
 
 
-def _turning(values: Values, entries: Mapping[str, Node], wanted: bool) -> tuple[str, float] | None:
+def _turning(values: Values, entries: Mapping[str, Node], has_rotations: bool) -> tuple[str, float] | None:
     """Return the rotation order of the axes, and the radians in one unit of the angles; the text must state both if there are
     angles."""
     order, angles = entries.get("rotation_order"), entries.get("angles")
-    if wanted and (order is None or angles is None):
+    if has_rotations and (order is None or angles is None):
         missing = '"rotation_order": "xyz"' if order is None else '"angles": "degrees"'
         head = values.key(entries["channels"], next(c for c in entries["channels"].keys if ":r" in c))
         values.report.error("missing-key", "a clip with rotations says their order and unit", head, f"add `{missing}`")
@@ -174,8 +174,10 @@ def write_clip(clip: Clip) -> str:
     angles = np.unwrap(angles_of_rotation(clip.rotation.astype(np.float64)), axis=0) * (180 / np.pi)
     columns = [clip.translation, angles, clip.scale, *(() if clip.shear is None else (clip.shear,))]
     for number, joint in enumerate(clip.joints):
-        whole = np.concatenate([np.asarray(each[:, number], np.float64) for each in columns], axis=-1)
-        channels |= {f"{joint}:{part}": _samples(whole[:, count]) for count, part in enumerate(PARTS[: whole.shape[1]])}
+        joint_samples = np.concatenate([np.asarray(each[:, number], np.float64) for each in columns], axis=-1)
+        channels |= {
+            f"{joint}:{part}": _samples(joint_samples[:, count]) for count, part in enumerate(PARTS[: joint_samples.shape[1]])
+        }
     channels |= {channel: _samples(clip.values[:, number]) for number, channel in enumerate(clip.channels)}
     return json_text(
         {

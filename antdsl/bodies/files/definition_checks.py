@@ -18,43 +18,43 @@ from antdsl.diagnostics.suggestion import nearest_name
 from antdsl.source import Span
 
 
-def whole(parts: Parts, report: Report) -> Definition | None:
+def check_definition(parts: Parts, report: Report) -> Definition | None:
     """Return the definition, with its length measured if none is given; None if one of the findings is an error."""
-    found = parts.definition
+    definition = parts.definition
     sound = report.ok  # else a shape may be missing only because its file could not be read
-    _sizes(found, parts.whole, report)
-    for name, layer in found.layers.items():
+    _sizes(definition, parts.span, report)
+    for name, layer in definition.layers.items():
         for binding in (*layer.static, *layer.deforming):
-            _binding(found, binding, parts.layers.get(name), report, sound)
-    for name, group in found.groups.items():
+            _binding(definition, binding, parts.layers.get(name), report, sound)
+    for name, group in definition.groups.items():
         place = parts.groups.get(name)
         for joint, _ in group.members:
-            if joint not in found.rig.names:
-                _unknown(report, place, "joint", joint, found.rig.names)
-        channels = [each.name for each in found.rig.channels]
+            if joint not in definition.rig.names:
+                _unknown(report, place, "joint", joint, definition.rig.names)
+        channels = [each.name for each in definition.rig.channels]
         for channel in group.channels:
             if channel not in channels:
                 _unknown(report, place, "channel", channel, channels, warn=True)
-    for shape in found.shapes.values():
-        _shape(found, shape, parts.whole, report)
-    for what, name, span, known in misnamed(found.variation, found.groups, found.materials, parts.varied):
+    for shape in definition.shapes.values():
+        _shape(definition, shape, parts.span, report)
+    for what, name, span, known in misnamed(definition.variation, definition.groups, definition.materials, parts.varied):
         near = nearest_name(name, known)
         report.error("unknown-name", f"there is no {what} `{name[:60]}`", span, f'write `"{near}"`' if near else None)
-    check_legs(found, parts.walking, report)
+    check_legs(definition, parts.walking, report)
     if not report.ok:
         return None
-    return _measured(found, parts, report)
+    return _measured(definition, parts, report)
 
 
-def _sizes(found: Definition, place: Span | None, report: Report) -> None:
-    points = sum(len(shape.points) for shape in found.shapes.values())
+def _sizes(definition: Definition, place: Span | None, report: Report) -> None:
+    points = sum(len(shape.points) for shape in definition.shapes.values())
     if points > limits.BODY_POINTS:
         words = f"the shapes have {points:,} points together, more than {limits.BODY_POINTS:,}"
         report.error("too-large", words, place, "use lighter meshes")
-    size = sum(c.translation.nbytes + c.rotation.nbytes + c.scale.nbytes + c.values.nbytes for c in found.clips.values())
+    size = sum(c.translation.nbytes + c.rotation.nbytes + c.scale.nbytes + c.values.nbytes for c in definition.clips.values())
     if size > limits.CLIP_BYTES:
         report.error("too-large", f"the clips take more than {limits.CLIP_BYTES:,} bytes", place, "give fewer samples a second")
-    for what, named in (("shapes", found.shapes), ("layers", found.layers), ("clips", found.clips)):
+    for what, named in (("shapes", definition.shapes), ("layers", definition.layers), ("clips", definition.clips)):
         if len(named) > limits.BODY_PARTS:
             report.error("too-large", f"there are more than {limits.BODY_PARTS:,} {what}", place, None)
 
@@ -66,12 +66,12 @@ def _unknown(report: Report, place: Place | None, what: str, name: str, known: o
     say("unknown-name", f"there is no {what} `{name[:60]}`", span, f'write `"{near}"`' if near else None)
 
 
-def _binding(found: Definition, binding: Binding, place: Place | None, report: Report, sound: bool) -> None:
-    if binding.transform and binding.transform not in found.rig.names:
-        _unknown(report, place, "joint", binding.transform, found.rig.names)
-    shape = found.shapes.get(binding.shape)
+def _binding(definition: Definition, binding: Binding, place: Place | None, report: Report, sound: bool) -> None:
+    if binding.transform and binding.transform not in definition.rig.names:
+        _unknown(report, place, "joint", binding.transform, definition.rig.names)
+    shape = definition.shapes.get(binding.shape)
     if shape is None and sound:
-        _unknown(report, place, "shape", binding.shape, found.shapes)
+        _unknown(report, place, "shape", binding.shape, definition.shapes)
     if binding.deformer and binding.deformer not in DOCUMENTED_DEFORMERS:
         near = nearest_name(binding.deformer, DOCUMENTED_DEFORMERS)
         words = f"no deformer `{binding.deformer[:60]}` comes with antdsl"
@@ -88,20 +88,20 @@ def _binding(found: Definition, binding: Binding, place: Place | None, report: R
             report.error("bad-body", words, span, help)
 
 
-def _shape(found: Definition, shape: Shape, place: Span | None, report: Report) -> None:
+def _shape(definition: Definition, shape: Shape, place: Span | None, report: Report) -> None:
     if shape.capture is not None:
-        missing = [name for name in shape.capture.names if name not in found.rig.names]
+        missing = [name for name in shape.capture.names if name not in definition.rig.names]
         if missing:
-            near = nearest_name(missing[0], found.rig.names)
+            near = nearest_name(missing[0], definition.rig.names)
             words = f"points of `{shape.name}` follow the joint `{missing[0][:60]}`, which the rig does not have"
             report.error(
                 "unknown-name", words, place, f"did you mean `{near}`?" if near else "give the rig the joints of the skin"
             )
-    channels = [each.name for each in found.rig.channels]
+    channels = [each.name for each in definition.rig.channels]
     blended = shape.blend.shapes if shape.blend else shape.between.shapes if shape.between else ()
     for name in blended:
-        if name not in found.shapes:
-            near = nearest_name(name, found.shapes)
+        if name not in definition.shapes:
+            near = nearest_name(name, definition.shapes)
             words = f"`{shape.name}` blends with the shape `{name[:60]}`, which is not there"
             report.error("unknown-name", words, place, f"did you mean `{near}`?" if near else None)
     for name in shape.blend.channels if shape.blend else ():
@@ -111,14 +111,14 @@ def _shape(found: Definition, shape: Shape, place: Span | None, report: Report) 
             report.error("unknown-name", words, place, f"did you mean `{near}`?" if near else "add it to the rig's `channels`")
 
 
-def _measured(found: Definition, parts: Parts, report: Report) -> Definition | None:
+def _measured(definition: Definition, parts: Parts, report: Report) -> Definition | None:
     if not parts.measured:
-        return found
+        return definition
     with np.errstate(all="ignore"):
-        least, most = rest_box(found)
-        length = float((np.abs(most - least) * np.abs(np.array(found.front))).sum())
+        least, most = rest_box(definition)
+        length = float((np.abs(most - least) * np.abs(np.array(definition.front))).sum())
     if not np.isfinite(length) or length <= 1e-9:
         words = "the body has no length that could be measured along its front"
-        report.warning("missing-key", words, parts.whole, 'add `"length": 1` to its definition')
-        return replace(found, length=1.0)
-    return replace(found, length=length)
+        report.warning("missing-key", words, parts.span, 'add `"length": 1` to its definition')
+        return replace(definition, length=1.0)
+    return replace(definition, length=length)

@@ -64,7 +64,7 @@ class Parts:
     groups: dict[str, Place] = field(default_factory=dict)
     walking: Places = field(default_factory=Places)
     varied: VariationPlaces = field(default_factory=dict)
-    whole: Span | None = None
+    span: Span | None = None
     measured: bool = True
 
 
@@ -95,7 +95,7 @@ def read_document(values: Values, node: Node, files: BodyFiles, name: str) -> Pa
         read_includes(values, entries["shapelib_includes"], files, shapes, materials)
     if "shapes" in entries:
         read_shapes(values, entries["shapes"], files, unit, shapes, materials)
-    parts = Parts(base, whole=values.head(node))
+    parts = Parts(base, span=values.head(node))
     layers = _all(values, entries.get("layers"), "a layer", read_layer, files, lambda each: each.name, parts.layers)
     groups = _all(values, entries.get("groups"), "a transform group", read_group, files, lambda each: each.name, parts.groups)
     clips = _clips(values, entries.get("clips"), files, rig, dict(base.clips))
@@ -113,16 +113,16 @@ def read_document(values: Values, node: Node, files: BodyFiles, name: str) -> Pa
     return parts
 
 
-def _walking(values: Values, entries: Mapping[str, Node], places: Places) -> dict[str, Any]:
+def _walking(values: Values, entries: Mapping[str, Node], locations: Places) -> dict[str, Any]:
     """The legs, gaits and idle clip that a file names."""
-    found: dict[str, Any] = {}
+    settings: dict[str, Any] = {}
     for key, read in (("legs", read_legs), ("gaits", read_gaits)):
         if key in entries:
-            found[key] = read(values, entries[key], places)
+            settings[key] = read(values, entries[key], locations)
     if "idle" in entries:
-        found["idle"] = values.text(entries["idle"], "the name of a clip") or ""
-        places.spans["idle",] = values.span(entries["idle"])
-    return found
+        settings["idle"] = values.text(entries["idle"], "the name of a clip") or ""
+        locations.spans["idle",] = values.span(entries["idle"])
+    return settings
 
 
 # Keys that identify a part in a separate file, with the kind of part and how a definition names it.
@@ -168,8 +168,8 @@ def _base(values: Values, entries: Mapping[str, Node], files: BodyFiles, name: s
         return None
     prim = values.text(inner.get("prim"), "the path of a prim") or ""
     rate = values.number(inner.get("rate"), "samples a second", 1.0, 1000.0) or 0.0
-    found = files.body(path, place, prim, rate)
-    return None if found is None else replace(found, name=name)
+    definition = files.body(path, place, prim, rate)
+    return None if definition is None else replace(definition, name=name)
 
 
 def _file(values: Values, node: Node) -> tuple[str, Span] | None:
@@ -190,32 +190,34 @@ def _one(
     named = _file(values, node)
     if named is None:
         return read(values, node), Place(values, node)
-    kept: list[Node] = []
+    top_nodes: list[Node] = []
 
     def noted(inside: Values, top: Node) -> T:
-        kept.append(top)
+        top_nodes.append(top)
         return read(inside, top)
 
-    found, inside = files.part(named[0], what, noted, named[1])
-    return found, Place(inside, kept[0]) if inside is not None and kept else None
+    part, inside = files.part(named[0], what, noted, named[1])
+    return part, Place(inside, top_nodes[0]) if inside is not None and top_nodes else None
 
 
 def _all(
     values: Values, node: Node | None, what: str, read: Callable[[Values, Node], T | None], files: BodyFiles,
-    name: Callable[[T], str], places: dict[str, Place],
+    name: Callable[[T], str], locations: dict[str, Place],
 ) -> dict[str, T]:  # fmt: skip
     """Return the parts of a list by name. Each may be in a separate file."""
-    found: dict[str, T] = {}
+    parts: dict[str, T] = {}
     for each in _counted(values, node, f"{what.partition(' ')[2]}s"):
         part, place = _one(values, each, what, read, files)
         if part is None or place is None:
             continue
         own = name(part)
-        if own in found:
-            values.twice(each, f"there are two {what.partition(' ')[2]}s `{own}`", places[own].values.head(places[own].node))
+        if own in parts:
+            values.twice(
+                each, f"there are two {what.partition(' ')[2]}s `{own}`", locations[own].values.head(locations[own].node)
+            )
             continue
-        found[own], places[own] = part, place
-    return found
+        parts[own], locations[own] = part, place
+    return parts
 
 
 def _counted(values: Values, node: Node | None, what: str) -> list[Node]:
@@ -229,23 +231,23 @@ def _counted(values: Values, node: Node | None, what: str) -> list[Node]:
 # ---- clips
 
 
-def _clips(values: Values, node: Node | None, files: BodyFiles, rig: Rig, found: dict[str, Clip]) -> dict[str, Clip]:
+def _clips(values: Values, node: Node | None, files: BodyFiles, rig: Rig, clips: dict[str, Clip]) -> dict[str, Clip]:
     """Return the clips of a list: inline, from clip files, from glTF or USD files, or those of `from` with other settings."""
     first: dict[str, Span] = {}
     for each in _counted(values, node, "clips"):
         if isinstance(each.value, dict) and "antdsl_clip" not in each.value:
             entries = values.object(each, "a clip", _OF_CLIP)
-            new = _referred_clips(values, each, entries, files, rig, found) if entries is not None else []
+            new = _referred_clips(values, each, entries, files, rig, clips) if entries is not None else []
         else:
             clip = read_clip(values, each, rig)
             new = [clip] if clip is not None else []
         for clip in new:
-            if clip.name in first or (clip.name in found and _brings_its_own(each)):
+            if clip.name in first or (clip.name in clips and _brings_its_own(each)):
                 labelled = first.get(clip.name, values.head(node)) if node is not None else values.head(each)
                 values.twice(each, f"there are two clips `{clip.name}`", labelled)
                 continue
-            found[clip.name], first[clip.name] = clip, values.head(each)
-    return found
+            clips[clip.name], first[clip.name] = clip, values.head(each)
+    return clips
 
 
 def _brings_its_own(node: Node) -> bool:
@@ -255,7 +257,7 @@ def _brings_its_own(node: Node) -> bool:
 def _referred_clips(
     values: Values, node: Node, entries: Mapping[str, Node], files: BodyFiles, rig: Rig, own: dict[str, Clip]
 ) -> list[Clip]:
-    wanted = values.text(entries.get("clip"), "the name of a clip")
+    clip_name = values.text(entries.get("clip"), "the name of a clip")
     place = values.head(node)
     if "file" in entries:
         path = values.text(entries["file"], "the path of a file")
@@ -263,27 +265,27 @@ def _referred_clips(
             return []
         place = values.span(entries["file"])
         clips = _clips_of(values, entries, path, place, files, rig)
-    elif wanted is None:
+    elif clip_name is None:
         values.report.error("missing-key", "a clip has no `file`", place, 'add `"file": "walk.json"`, or `"clip": "Walk"`')
         return []
     else:
         clips = own
-    if wanted is not None:
-        if wanted not in clips:
-            values.unknown(values.span(entries["clip"]), "clip", wanted, clips)
+    if clip_name is not None:
+        if clip_name not in clips:
+            values.unknown(values.span(entries["clip"]), "clip", clip_name, clips)
             return []
-        clips = {wanted: clips[wanted]}
-    if "file" not in entries and wanted is not None:
-        own.pop(wanted)
+        clips = {clip_name: clips[clip_name]}
+    if "file" not in entries and clip_name is not None:
+        own.pop(clip_name)
     name = values.text(entries.get("name"), "the name of a clip")
     if name is not None and len(clips) > 1:
         words = f"a name is given, and the file has {len(clips)} clips"
         values.report.error("wrong-value", words, values.span(entries["name"]), f'add `"clip": "{next(iter(clips))}"`')
         return []
-    made = []
+    new_clips = []
     for clip in clips.values():
         stride = values.number(entries.get("stride"), "a stride", 0.0)
-        made.append(
+        new_clips.append(
             replace(
                 clip,
                 name=name or clip.name,
@@ -293,7 +295,7 @@ def _referred_clips(
                 feet=values.truth(entries.get("feet"), "whether feet stand while it plays", clip.feet),
             )
         )
-    return made
+    return new_clips
 
 
 def _clips_of(values: Values, entries: Mapping[str, Node], path: str, place: Span, files: BodyFiles, rig: Rig) -> dict[str, Clip]:
@@ -309,10 +311,10 @@ def _clips_of(values: Values, entries: Mapping[str, Node], path: str, place: Spa
     prim = values.text(entries.get("prim"), "the path of a prim") or ""
     rate = values.number(entries.get("rate"), "samples a second", 1.0, 1000.0) or 0.0
     body = files.body(path, place, prim, rate, rig)
-    found = {}
+    clips = {}
     for name, clip in (body.clips if body else {}).items():
-        found[name] = _of_rig(files, clip, rig, place)
-    return found
+        clips[name] = _of_rig(files, clip, rig, place)
+    return clips
 
 
 def _of_rig(files: BodyFiles, clip: Clip, rig: Rig, place: Span) -> Clip:
@@ -323,8 +325,8 @@ def _of_rig(files: BodyFiles, clip: Clip, rig: Rig, place: Span) -> Clip:
     strangers = [joint for joint in clip.joints if joint not in names] + [c for c in clip.channels if c not in channels]
     if not strangers:
         return clip
-    shown = ", ".join(f"`{each[:40]}`" for each in strangers[:4]) + (" …" if len(strangers) > 4 else "")
-    words = f"the clip `{clip.name}` moves what the rig does not have: {shown}"
+    stranger_names = ", ".join(f"`{each[:40]}`" for each in strangers[:4]) + (" …" if len(strangers) > 4 else "")
+    words = f"the clip `{clip.name}` moves what the rig does not have: {stranger_names}"
     files.report.warning("body-left-out", words, place)
     return replace(
         clip, joints=tuple(clip.joints[k] for k in joints), translation=clip.translation[:, joints],
@@ -339,8 +341,8 @@ def _of_rig(files: BodyFiles, clip: Clip, rig: Rig, place: Span) -> Clip:
 
 def unit_mm(text: object) -> float:
     """Return the millimetres of a length unit such as `mm` or `6 mm`; 0 if the text is not one."""
-    found = _UNIT.fullmatch(text) if isinstance(text, str) else None
-    return float(found[1] or 1) * UNIT_MM[found[2]] if found else 0.0
+    match = _UNIT.fullmatch(text) if isinstance(text, str) else None
+    return float(match[1] or 1) * UNIT_MM[match[2]] if match else 0.0
 
 
 def _unit(values: Values, node: Node | None, otherwise: float) -> float:
@@ -357,8 +359,8 @@ def _unit(values: Values, node: Node | None, otherwise: float) -> float:
 
 def _axes(values: Values, entries: Mapping[str, Node], base: Definition) -> tuple[Axis, Axis]:
     """Return the forward and upward axes of a body."""
-    found = {"front": base.front, "up": base.up}
-    for key in found:
+    axes = {"front": base.front, "up": base.up}
+    for key in axes:
         node = entries.get(key)
         if node is None:
             continue
@@ -368,21 +370,21 @@ def _axes(values: Values, entries: Mapping[str, Node], base: Definition) -> tupl
             values.report.error("wrong-value", words, values.span(node), f'write `"+{letter}"`')
             continue
         x, y, z = _AXES[node.value].tolist()
-        found[key] = (x, y, z)
-    if any(a and b for a, b in zip(found["front"], found["up"], strict=True)):
+        axes[key] = (x, y, z)
+    if any(a and b for a, b in zip(axes["front"], axes["up"], strict=True)):
         node = entries.get("up", entries.get("front"))
         place = values.span(node) if node is not None else None
         values.report.error("wrong-value", "a body looks and stands along the same axis", place, 'write `"up": "+y"`')
-    return found["front"], found["up"]
+    return axes["front"], axes["up"]
 
 
 def _materials(values: Values, node: Node) -> dict[str, tuple[float, float, float]]:
     if not isinstance(node.value, dict):
         values.wrong(node, "an object of base colours", 'write `{"NAME": [0.5, 0.4, 0.3]}`')
         return {}
-    found = {}
+    colours = {}
     for name, each in node.value.items():
         colour = values.numbers(each, "a colour", 3, 0.0, 1.0)
         if colour is not None:
-            found[name] = (float(colour[0]), float(colour[1]), float(colour[2]))
-    return found
+            colours[name] = (float(colour[0]), float(colour[1]), float(colour[2]))
+    return colours

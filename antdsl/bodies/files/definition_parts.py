@@ -38,27 +38,27 @@ class Places:
         return self.spans.get(path)
 
 
-def read_legs(values: Values, node: Node, places: Places) -> tuple[Leg, ...]:
+def read_legs(values: Values, node: Node, locations: Places) -> tuple[Leg, ...]:
     """Read the list `legs`: each leg has a unique name and the joints `upper`, `lower` and `foot`."""
-    found: dict[str, Leg] = {}
-    places.spans["legs",] = values.head(node)
+    legs: dict[str, Leg] = {}
+    locations.spans["legs",] = values.head(node)
     for entries, each in _entries(values, node, "legs", "a leg", _LEG, limits.LEGS):
         texts = {key: values.text(entries[key], f"the {'name' if key == 'name' else 'joint'} of a leg") for key in _LEG}
         name, upper, lower, foot = (texts[key] for key in _LEG)
         if name is None or upper is None or lower is None or foot is None:
             continue
-        if name in found:
-            values.twice(entries["name"], f"there are two legs `{name}`", places.spans["legs", name, "name"])
+        if name in legs:
+            values.twice(entries["name"], f"there are two legs `{name}`", locations.spans["legs", name, "name"])
             continue
-        found[name] = Leg(name, upper, lower, foot)
-        _note(values, places, ("legs", name), each, entries)
-    return tuple(found.values())
+        legs[name] = Leg(name, upper, lower, foot)
+        _note(values, locations, ("legs", name), each, entries)
+    return tuple(legs.values())
 
 
-def read_gaits(values: Values, node: Node, places: Places) -> tuple[Gait, ...]:
+def read_gaits(values: Values, node: Node, locations: Places) -> tuple[Gait, ...]:
     """Read the list `gaits` and sort it from slow to fast."""
-    found: dict[str, Gait] = {}
-    places.spans["gaits",] = values.head(node)
+    gaits: dict[str, Gait] = {}
+    locations.spans["gaits",] = values.head(node)
     for entries, each in _entries(values, node, "gaits", "a gait", _GAIT, limits.GAITS):
         name = values.text(entries["name"], "the name of a gait")
         speed = values.number(entries["speed"], "a speed", 0.0)
@@ -68,12 +68,12 @@ def read_gaits(values: Values, node: Node, places: Places) -> tuple[Gait, ...]:
         phases = values.numbers(entries["phases"], "phases of the legs", least=0.0, most=1.0)
         if name is None or speed is None or stride is None or duty is None or lift is None or phases is None:
             continue
-        if name in found:
-            values.twice(entries["name"], f"there are two gaits `{name}`", places.spans["gaits", name, "name"])
+        if name in gaits:
+            values.twice(entries["name"], f"there are two gaits `{name}`", locations.spans["gaits", name, "name"])
             continue
-        found[name] = Gait(name, speed, stride, duty, lift, tuple(phases.tolist()))
-        _note(values, places, ("gaits", name), each, entries)
-    return tuple(sorted(found.values(), key=lambda gait: gait.speed))
+        gaits[name] = Gait(name, speed, stride, duty, lift, tuple(phases.tolist()))
+        _note(values, locations, ("gaits", name), each, entries)
+    return tuple(sorted(gaits.values(), key=lambda gait: gait.speed))
 
 
 def _entries(
@@ -88,70 +88,72 @@ def _entries(
     return [(entries, each) for entries, each in read if entries is not None and all(key in entries for key in needed)]
 
 
-def _note(values: Values, places: Places, path: tuple[str, ...], node: Node, entries: Mapping[str, Node]) -> None:
-    places.spans[path] = values.head(node)
+def _note(values: Values, locations: Places, path: tuple[str, ...], node: Node, entries: Mapping[str, Node]) -> None:
+    locations.spans[path] = values.head(node)
     for key, inner in entries.items():
-        places.spans[*path, key] = values.head(inner) if isinstance(inner.value, list) else values.span(inner)
+        locations.spans[*path, key] = values.head(inner) if isinstance(inner.value, list) else values.span(inner)
 
 
 # ---- checks
 
 
-def check_legs(found: Definition, places: Places, report: Report) -> None:
+def check_legs(definition: Definition, locations: Places, report: Report) -> None:
     """Report legs with joints that are missing or not below each other, gaits that do not fit the legs, and a missing idle
     clip."""
-    for leg in found.legs:
-        _leg(found, leg, places, report)
-    for gait in found.gaits:
-        if len(gait.phases) != len(found.legs):
-            count = len(found.legs)
+    for leg in definition.legs:
+        _leg(definition, leg, locations, report)
+    for gait in definition.gaits:
+        if len(gait.phases) != len(definition.legs):
+            count = len(definition.legs)
             words = f"`{gait.name}` has {len(gait.phases)} phases, and the body has {count} leg{'' if count == 1 else 's'}"
             help = "give a phase for each leg, in the order of `legs`" if count else 'add `"legs": […]`'
-            report.error("wrong-value", words, places.of("gaits", gait.name, "phases"), help)
-    for slow, fast in pairwise(found.gaits):
+            report.error("wrong-value", words, locations.of("gaits", gait.name, "phases"), help)
+    for slow, fast in pairwise(definition.gaits):
         if not slow.speed < fast.speed:
             words = f"the gaits `{slow.name}` and `{fast.name}` have the same speed"
-            labels = [Label(place, "here first") for place in (places.of("gaits", slow.name, "speed"),) if place is not None]
-            place = places.of("gaits", fast.name, "speed")
+            labels = [Label(place, "here first") for place in (locations.of("gaits", slow.name, "speed"),) if place is not None]
+            place = locations.of("gaits", fast.name, "speed")
             report.error("wrong-value", words, place, "give each its own, or delete one", labels=tuple(labels))
-    if found.legs and not found.gaits:
+    if definition.legs and not definition.gaits:
         line = 'add `"gaits": [{"name": "walk", "speed": …, "stride": …, "duty": 0.6, "lift": …, "phases": […]}]`'
-        report.warning("missing-key", "the body has legs and no gait, so they follow the clips alone", places.of("legs"), line)
-    if found.idle and found.idle not in found.clips:
-        near = nearest_name(found.idle, found.clips)
-        words = f"there is no clip `{found.idle[:60]}`"
-        report.error("unknown-name", words, places.of("idle"), f'write `"{near}"`' if near else None)
+        report.warning("missing-key", "the body has legs and no gait, so they follow the clips alone", locations.of("legs"), line)
+    if definition.idle and definition.idle not in definition.clips:
+        near = nearest_name(definition.idle, definition.clips)
+        words = f"there is no clip `{definition.idle[:60]}`"
+        report.error("unknown-name", words, locations.of("idle"), f'write `"{near}"`' if near else None)
 
 
-def _leg(found: Definition, leg: Leg, places: Places, report: Report) -> None:
-    names = found.rig.names
+def _leg(definition: Definition, leg: Leg, locations: Places, report: Report) -> None:
+    names = definition.rig.names
     known = True
     for key, joint in (("upper", leg.upper), ("lower", leg.lower), ("foot", leg.foot)):
         if joint not in names:
             near = nearest_name(joint, names)
             words, help = f"there is no joint `{joint[:60]}`", f'write `"{near}"`' if near else None
-            report.error("unknown-name", words, places.of("legs", leg.name, key), help)
+            report.error("unknown-name", words, locations.of("legs", leg.name, key), help)
             known = False
     if not known:
         return
     for key, above, below in (("lower", leg.upper, leg.lower), ("foot", leg.lower, leg.foot)):
-        if above not in above_of(found, below):
+        if above not in above_of(definition, below):
             words = f"`{below[:60]}` does not hang below `{above[:60]}`"
-            report.error("bad-rig", words, places.of("legs", leg.name, key), "name joints from the hip down: upper, lower, foot")
+            report.error(
+                "bad-rig", words, locations.of("legs", leg.name, key), "name joints from the hip down: upper, lower, foot"
+            )
 
 
-def above_of(found: Definition, joint: str) -> list[str]:
+def above_of(definition: Definition, joint: str) -> list[str]:
     """The joints above one, the nearest first."""
-    names, parents = found.rig.names, found.rig.parents
-    way: list[str] = []
+    names, parents = definition.rig.names, definition.rig.parents
+    ancestors: list[str] = []
     number = int(parents[names.index(joint)])
-    while number >= 0 and len(way) < len(names):
-        way.append(names[number])
+    while number >= 0 and len(ancestors) < len(names):
+        ancestors.append(names[number])
         number = int(parents[number])
-    return way
+    return ancestors
 
 
-def read_variation(values: Values, node: Node, places: VariationPlaces) -> Variation:
+def read_variation(values: Values, node: Node, locations: VariationPlaces) -> Variation:
     """Read the variation of a definition file: `{"scale": {"head": [0.9, 1.2]}, "materials": {"fur": [[0.4, 0.3, 0.2], [0.1, 0.1,
     0.1]]}}`."""
     entries = values.object(node, "variation", ("scale", "materials")) or {}
@@ -160,31 +162,31 @@ def read_variation(values: Values, node: Node, places: VariationPlaces) -> Varia
         ends = values.numbers(each, "the least and the greatest scale", 2, _LEAST_SCALE, _MOST_SCALE)
         if ends is not None:
             scales[name] = (float(min(ends)), float(max(ends)))
-            places["scale", name] = values.span(each)
+            locations["scale", name] = values.span(each)
     materials: dict[str, tuple[Colour, ...]] = {}
     for name, each in _named(values, entries.get("materials"), "colours", '{"fur": [[0.4, 0.3, 0.2], [0.1, 0.1, 0.1]]}'):
-        found = [values.numbers(colour, "a colour", 3, 0.0, 1.0) for colour in values.items(each, "colours")]
-        given = [(float(c[0]), float(c[1]), float(c[2])) for c in found if c is not None]
-        if len(given) == len(found) and 2 <= len(given) <= limits.BODY_PARTS:
-            materials[name] = tuple(given)
-            places["materials", name] = values.span(each)
-        elif len(given) == len(found):
-            words = f"{len(given)} colours for `{name}` are no way that a colour may lie on"
+        arrays = [values.numbers(colour, "a colour", 3, 0.0, 1.0) for colour in values.items(each, "colours")]
+        colours = [(float(c[0]), float(c[1]), float(c[2])) for c in arrays if c is not None]
+        if len(colours) == len(arrays) and 2 <= len(colours) <= limits.BODY_PARTS:
+            materials[name] = tuple(colours)
+            locations["materials", name] = values.span(each)
+        elif len(colours) == len(arrays):
+            words = f"{len(colours)} colours for `{name}` are no way that a colour may lie on"
             values.report.error("wrong-count", words, values.head(each), "write two colours, or more")
     return Variation(scales, materials)
 
 
 def misnamed(
-    variation: Variation, groups: Iterable[str], materials: Iterable[str], places: VariationPlaces
+    variation: Variation, groups: Iterable[str], materials: Iterable[str], locations: VariationPlaces
 ) -> list[tuple[str, str, Span | None, list[str]]]:
     """Return names in the variation that the definition lacks: kind, name, place, and the existing names."""
-    found = []
+    problems = []
     for key, what, named, known in (
         ("scale", "transform group", variation.scales, sorted(groups)),
         ("materials", "material", variation.materials, sorted(materials)),
     ):
-        found += [(what, name, places.get((key, name)), known) for name in named if name not in known]
-    return found
+        problems += [(what, name, locations.get((key, name)), known) for name in named if name not in known]
+    return problems
 
 
 def _named(values: Values, node: Node | None, what: str, sample: str) -> Iterable[tuple[str, Node]]:
@@ -251,9 +253,9 @@ def _typed(values: Values, entries: Mapping[str, Node]) -> Typed | None:
             words = f"a value of the type `{name}` is a list of {count} numbers"
             values.report.error("wrong-value", words, values.head(inner), None)
             return Typed(name, value)
-        wanted = f"a list of {count} numbers" if count else f"a value of the type `{name}`"
-        whole = isinstance(value, float) and name == "int"
-        values.wrong(inner, wanted, f"write `{round(value)}`, or the type `float`" if whole else None)
+        expectation = f"a list of {count} numbers" if count else f"a value of the type `{name}`"
+        needs_rounding = isinstance(value, float) and name == "int"
+        values.wrong(inner, expectation, f"write `{round(value)}`, or the type `float`" if needs_rounding else None)
     return Typed(name, value)
 
 
@@ -262,8 +264,8 @@ def _fits(name: str, value: Any) -> bool:
     if count:
         numbers = isinstance(value, list) and all(isinstance(each, int | float) for each in value)
         return numbers and len(value) == count
-    wanted = {"int": int, "float": int | float, "string": str, "dict": dict, "array": list}[name]
-    return isinstance(value, wanted)
+    expected_type = {"int": int, "float": int | float, "string": str, "dict": dict, "array": list}[name]
+    return isinstance(value, expected_type)
 
 
 def plain_metadata(metadata: Mapping[str, Any]) -> dict[str, Any]:

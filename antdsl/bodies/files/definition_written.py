@@ -37,32 +37,32 @@ def definition_files(body: Definition, name: str) -> dict[str, bytes]:
         files[f"{name}/{own}.json"] = text.encode()
         return {"file": f"{name}/{own}.json"}
 
-    whole: dict[str, Any] = {
+    document: dict[str, Any] = {
         "antdsl_body": 1, "name": body.name, "front": _axis(body.front), "up": _axis(body.up), "units": unit,
         "length": body.length, "rig": part("rig", write_rig(body.rig)),
     }  # fmt: skip
     if body.materials:
-        whole["materials"] = {material: list(colour) for material, colour in body.materials.items()}
+        document["materials"] = {material: list(colour) for material, colour in body.materials.items()}
     if body.shapes:
         files[f"{name}/{SHAPES}"] = _shapes(body)
-        whole["shapes"] = [_reference(body, shape, f"{name}/{SHAPES}") for shape in body.shapes.values()]
+        document["shapes"] = [_reference(body, shape, f"{name}/{SHAPES}") for shape in body.shapes.values()]
     for key, texts in (
         ("layers", [(each.name, write_layer(each)) for each in body.layers.values()]),
-        ("clips", [(each.name, write_clip(_whole(body, each))) for each in body.clips.values()]),
+        ("clips", [(each.name, write_clip(_with_shear(body, each))) for each in body.clips.values()]),
         ("groups", [(each.name, write_group(each)) for each in body.groups.values()]),
     ):
         if texts:
-            whole[key] = [part(f"{key}/{_file_name(each)}", text) for each, text in texts]
+            document[key] = [part(f"{key}/{_file_name(each)}", text) for each, text in texts]
     if body.legs:
-        whole["legs"] = [{"name": e.name, "upper": e.upper, "lower": e.lower, "foot": e.foot} for e in body.legs]
+        document["legs"] = [{"name": e.name, "upper": e.upper, "lower": e.lower, "foot": e.foot} for e in body.legs]
     if body.gaits:
         keys = ("name", "speed", "stride", "duty", "lift", "phases")
-        whole["gaits"] = [{key: getattr(gait, key) for key in keys} for gait in body.gaits]
+        document["gaits"] = [{key: getattr(gait, key) for key in keys} for gait in body.gaits]
     if body.idle:
-        whole["idle"] = body.idle
+        document["idle"] = body.idle
     if body.metadata:
-        whole["metadata"] = part("metadata", write_metadata(body.metadata))
-    return {f"{name}.json": json_text(whole).encode()} | files
+        document["metadata"] = part("metadata", write_metadata(body.metadata))
+    return {f"{name}.json": json_text(document).encode()} | files
 
 
 def _shapes(body: Definition) -> bytes:
@@ -96,23 +96,23 @@ def _shapes(body: Definition) -> bytes:
 
 def _reference(body: Definition, shape: Shape, path: str) -> dict[str, Any]:
     """Return a definition's reference to a shape, with the documented attributes of blend shapes."""
-    found: dict[str, Any] = {"file": path, "shape": shape.name}
+    reference: dict[str, Any] = {"file": path, "shape": shape.name}
     if _lone(body, shape):
-        found["material"] = shape.materials[0]
+        reference["material"] = shape.materials[0]
     if shape.blend is not None:
         blend = shape.blend
-        found |= {
+        reference |= {
             "blendshape_shapenames": list(blend.shapes), "blendshape_channels": list(blend.channels),
             "blendshape_attribs": " ".join(blend.attributes), "blendshape_ptidattr": blend.point_id,
             "blendshape_primidattr": blend.primitive_id,
         }  # fmt: skip
     if shape.between is not None:
-        found |= {
+        reference |= {
             "blendshape_shapenames": list(shape.between.shapes), "blendshape_inbetweenweights": list(shape.between.weights),
         }  # fmt: skip
     if shape.dual_quaternion_blend:
-        found["deformDualQuaternionBlendAttrib"] = shape.dual_quaternion_blend
-    return found
+        reference["deformDualQuaternionBlendAttrib"] = shape.dual_quaternion_blend
+    return reference
 
 
 def _lone(body: Definition, shape: Shape) -> bool:
@@ -121,7 +121,7 @@ def _lone(body: Definition, shape: Shape) -> bool:
     return len(shape.materials) == 1 and shape.materials[0] not in body.materials
 
 
-def _whole(body: Definition, clip: Clip) -> Clip:
+def _with_shear(body: Definition, clip: Clip) -> Clip:
     """Return a clip with explicit shear where the rest pose has some: a clip text without shear takes it from the rest pose."""
     if clip.shear is not None or np.abs(parts_of(body.rig.rest)[3]).max(initial=0.0) < 1e-9:
         return clip

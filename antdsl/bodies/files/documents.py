@@ -39,8 +39,8 @@ def read_part(data: bytes, name: str, what: str, read: Callable[[Values, Node], 
     if node is None:
         return None, report
     values = Values(source, report)
-    found = read(values, node)
-    return (found if report.ok else None), report
+    part = read(values, node)
+    return (part if report.ok else None), report
 
 
 # ---- rig
@@ -101,9 +101,9 @@ def _tree(values: Values, node: Node) -> tuple[tuple[str, ...], list[int]] | Non
     _refuse_circles(values, parent)
     if not values.report.ok:
         return None
-    places = {name: count for count, name in enumerate(joints)}
-    if all(places[each[0]] < places[name] for name, each in parent.items()):
-        return tuple(joints), [places[parent[name][0]] if name in parent else -1 for name in joints]
+    positions = {name: count for count, name in enumerate(joints)}
+    if all(positions[each[0]] < positions[name] for name, each in parent.items()):
+        return tuple(joints), [positions[parent[name][0]] if name in parent else -1 for name in joints]
     names: list[str] = []
     waiting = [name for name in reversed(joints) if name not in parent]
     while waiting:
@@ -123,20 +123,20 @@ def _no_such_child(values: Values, place: Span, name: str, child: str, free: lis
 
 def _refuse_circles(values: Values, parent: Mapping[str, tuple[str, Span]]) -> None:
     """Report each cycle once, at the line that closes it."""
-    seen: set[str] = set()
+    visited: set[str] = set()
     for start in parent:
-        way: dict[str, None] = {}
+        chain: dict[str, None] = {}
         name = start
-        while name in parent and name not in seen:
-            if name in way:
-                circle = list(way)[list(way).index(name) :]
-                shown = " below ".join(f"`{each}`" for each in [*circle[:4], *(["…"] if len(circle) > 4 else []), name])
-                words = f"the joints {shown} hang below each other in a circle"
+        while name in parent and name not in visited:
+            if name in chain:
+                circle = list(chain)[list(chain).index(name) :]
+                circle_text = " below ".join(f"`{each}`" for each in [*circle[:4], *(["…"] if len(circle) > 4 else []), name])
+                words = f"the joints {circle_text} hang below each other in a circle"
                 values.report.error("bad-rig", words, parent[name][1], f"delete `{name}` here, so that one of them is a root")
                 break
-            way[name] = None
+            chain[name] = None
             name = parent[name][0]
-        seen.update(way)
+        visited.update(chain)
 
 
 def _rest(values: Values, node: Node, names: tuple[str, ...], rest: NDArray[np.float64]) -> None:
@@ -166,7 +166,7 @@ def _channels(values: Values, node: Node, names: tuple[str, ...]) -> tuple[Chann
     if len(node.value) > limits.CHANNELS:
         values.report.error("too-large", f"a rig has at most {limits.CHANNELS:,} channels", values.head(node), None)
         return ()
-    found = []
+    channels = []
     for name, each in node.value.items():
         values.text(Node(name, *node.keys[name]), "the name of a channel")
         entries = values.object(each, "a channel", ("default_value", "transform"), strict=False)
@@ -176,8 +176,8 @@ def _channels(values: Values, node: Node, names: tuple[str, ...]) -> tuple[Chann
         joint = values.text(entries.get("transform"), "the name of a joint", empty=True) or ""
         if joint and joint not in names:
             values.unknown(values.span(entries["transform"]), "joint", joint, names)
-        found.append(Channel(name, default or 0.0, joint))
-    return tuple(found)
+        channels.append(Channel(name, default or 0.0, joint))
+    return tuple(channels)
 
 
 def write_rig(rig: Rig) -> str:
@@ -186,13 +186,13 @@ def write_rig(rig: Rig) -> str:
     for name, parent in zip(rig.names, rig.parents, strict=True):
         if parent >= 0:
             children[rig.names[parent]].append(name)
-    found: dict[str, Any] = {"rig_version": 1, "transforms": children}
+    document: dict[str, Any] = {"rig_version": 1, "transforms": children}
     if rig.channels:
-        found["channels"] = {c.name: {"default_value": _short(c.default), "transform": c.transform} for c in rig.channels}
+        document["channels"] = {c.name: {"default_value": _short(c.default), "transform": c.transform} for c in rig.channels}
     moved = [joint for joint in range(len(rig.names)) if (rig.rest[joint] != np.eye(4)).any()]
     if moved:
-        found[REST] = {rig.names[j]: [[_short(float(v)) for v in row] for row in rig.rest[j]] for j in moved}
-    return json_text(found)
+        document[REST] = {rig.names[j]: [[_short(float(v)) for v in row] for row in rig.rest[j]] for j in moved}
+    return json_text(document)
 
 
 # ---- layers and transform groups
@@ -237,7 +237,7 @@ def _binding(values: Values, node: Node, deforming: bool) -> Binding | None:
 def write_layer(layer: Layer) -> str:
     """A layer as text in the documented form."""
 
-    def bindings(given: tuple[Binding, ...]) -> list[dict[str, Any]]:
+    def bindings(layer_bindings: tuple[Binding, ...]) -> list[dict[str, Any]]:
         return [
             {
                 "transform": each.transform,
@@ -245,7 +245,7 @@ def write_layer(layer: Layer) -> str:
                 "bounds_scale": [_short(part) for part in each.bounds_scale],
                 "deformer": each.deformer,
             }
-            for each in given
+            for each in layer_bindings
         ]
 
     return json_text({"version": 2, "name": layer.name, "static": bindings(layer.static), "deforming": bindings(layer.deforming)})
@@ -269,17 +269,17 @@ def read_group(values: Values, node: Node) -> TransformGroup | None:
 
 def _named(values: Values, node: Node | None, what: str, known: tuple[str, ...]) -> list[tuple[str, Mapping[str, Node]]]:
     """Return the objects of a list, each with a unique name."""
-    found: dict[str, tuple[Span, Mapping[str, Node]]] = {}
+    objects: dict[str, tuple[Span, Mapping[str, Node]]] = {}
     for each in values.items(node, "objects with a `name`") if node is not None else ():
         entries = values.object(each, what, known, {"name": '"…"'}, strict=False)
         name = values.text(entries.get("name"), f"the name of {what}") if entries is not None else None
         if entries is None or name is None:
             continue
-        if name in found:
-            values.twice(entries["name"], f"`{name}` is given twice", found[name][0])
+        if name in objects:
+            values.twice(entries["name"], f"`{name}` is given twice", objects[name][0])
         else:
-            found[name] = (values.span(entries["name"]), entries)
-    return [(name, entries) for name, (_, entries) in found.items()]
+            objects[name] = (values.span(entries["name"]), entries)
+    return [(name, entries) for name, (_, entries) in objects.items()]
 
 
 def write_group(group: TransformGroup) -> str:
@@ -297,7 +297,7 @@ def write_metadata(metadata: Mapping[str, Any]) -> str:
 def json_text(value: Any) -> str:
     """Return JSON in our file style: two spaces per level, lists of numbers on one line, a final line end."""
     text = json.dumps(value, indent=2, ensure_ascii=False, allow_nan=False)
-    return _ROWS.sub(lambda found: f"[{', '.join(found[1].replace(',', ' ').split())}]", text) + "\n"
+    return _ROWS.sub(lambda match: f"[{', '.join(match[1].replace(',', ' ').split())}]", text) + "\n"
 
 
 def _short(number: float) -> int | float:

@@ -44,70 +44,70 @@ def _read(
 ) -> tuple[Definition, list[str]]:
     body = GltfBody(Gltf(data, beside))
     parents = node_parents(body.file)
-    kept = _kept(body.file, parents)
-    body.joint = _unique_names(body.file, kept)
-    rig = _rig(body, kept, parents)
+    joint_nodes = _find_joint_nodes(body.file, parents)
+    body.joint = _unique_names(body.file, joint_nodes)
+    rig = _rig(body, joint_nodes, parents)
     layer = _layer(body)
     rig = replace(rig, channels=tuple(body.channels.values()))
     clips = read_clips(body.file, body.joint, body.weights, _posed(rig, pose), rate)
-    found = Definition(
+    definition = Definition(
         name, rig, body.shapes, {LAYER: layer} if body.shapes else {}, {clip.name: clip for clip in clips},
         materials=body.materials, front=(0.0, 0.0, 1.0), up=(0.0, 1.0, 0.0), unit=1000.0,
     )  # fmt: skip
-    return found, list(body.left_out)
+    return definition, list(body.left_out)
 
 
 # ---- rig
 
 
-def _kept(file: Gltf, parents: list[int]) -> list[int]:
+def _find_joint_nodes(file: Gltf, parents: list[int]) -> list[int]:
     """Return the nodes that become joints, parents before children, in the scene's order."""
     nodes = file.top("nodes")
     roots = scene_roots(file) or [number for number, parent in enumerate(parents) if parent < 0]
-    wanted: set[int] = set()
+    joint_nodes: set[int] = set()
     for number in nodes_below(file, roots):
         if "mesh" in nodes[number] and "skin" not in nodes[number]:
-            wanted.add(number)
+            joint_nodes.add(number)
     for skin in file.top("skins"):
-        wanted.update(file.number_of(joint, "node", len(nodes)) for joint in file.listed(skin, "joints"))
+        joint_nodes.update(file.number_of(joint, "node", len(nodes)) for joint in file.listed(skin, "joints"))
     for animation in file.top("animations"):
         for channel in file.objects(animation, "channels"):
             target = file.object(channel, "target")
             node = file.index(target, "node", len(nodes))
             if node is not None and target.get("path") != "weights":
-                wanted.add(node)
-    for number in list(wanted):
+                joint_nodes.add(node)
+    for number in list(joint_nodes):
         above = parents[number]
-        while above >= 0 and above not in wanted:
-            wanted.add(above)
+        while above >= 0 and above not in joint_nodes:
+            joint_nodes.add(above)
             above = parents[above]
-    if not wanted:
-        wanted.update(roots[:1])
-    if not wanted:
+    if not joint_nodes:
+        joint_nodes.update(roots[:1])
+    if not joint_nodes:
         raise BodyError("has no nodes", _EXPORT)
-    if len(wanted) > limits.JOINTS:
-        raise BodyError(f"has {len(wanted):,} joints, more than {limits.JOINTS:,}", code="too-large")
-    tops = [number for number in wanted if parents[number] < 0]
+    if len(joint_nodes) > limits.JOINTS:
+        raise BodyError(f"has {len(joint_nodes):,} joints, more than {limits.JOINTS:,}", code="too-large")
+    tops = [number for number in joint_nodes if parents[number] < 0]
     order = sorted(tops, key=lambda number: (number not in roots, roots.index(number) if number in roots else number))
-    return [number for number in nodes_below(file, order) if number in wanted]
+    return [number for number in nodes_below(file, order) if number in joint_nodes]
 
 
-def _unique_names(file: Gltf, kept: list[int]) -> dict[int, str]:
-    found: dict[int, str] = {}
+def _unique_names(file: Gltf, joint_nodes: list[int]) -> dict[int, str]:
+    names: dict[int, str] = {}
     taken: set[str] = set()
-    for number in kept:
+    for number in joint_nodes:
         name = unused(file.name(file.top("nodes")[number], f"node{number}"), taken)
         taken.add(name)
-        found[number] = name
-    return found
+        names[number] = name
+    return names
 
 
-def _rig(body: GltfBody, kept: list[int], parents: list[int]) -> Rig:
-    place = {number: count for count, number in enumerate(kept)}
-    rest = np.array([local_matrix(body.file, body.file.top("nodes")[number]) for number in kept]).reshape(-1, 4, 4)
+def _rig(body: GltfBody, joint_nodes: list[int], parents: list[int]) -> Rig:
+    place = {number: count for count, number in enumerate(joint_nodes)}
+    rest = np.array([local_matrix(body.file, body.file.top("nodes")[number]) for number in joint_nodes]).reshape(-1, 4, 4)
     return Rig(
-        tuple(body.joint[number] for number in kept),
-        np.array([place.get(parents[number], -1) for number in kept], np.int32),
+        tuple(body.joint[number] for number in joint_nodes),
+        np.array([place.get(parents[number], -1) for number in joint_nodes], np.int32),
         rest,
     )
 
@@ -126,8 +126,8 @@ def _posed(rig: Rig, pose: Rig | None) -> Rig:
 def local_matrix(file: Gltf, node: dict[str, Any]) -> Floats:
     """The matrix float64[4, 4] of a node."""
     if "matrix" in node:
-        found = file.floats(node, "matrix", tuple(np.eye(4).ravel())).reshape(4, 4).T
-        return np.concatenate([found[:3], [[0.0, 0.0, 0.0, 1.0]]])
+        matrix = file.floats(node, "matrix", tuple(np.eye(4).ravel())).reshape(4, 4).T
+        return np.concatenate([matrix[:3], [[0.0, 0.0, 0.0, 1.0]]])
     translation, rotation, scale = local_parts(file, node)
     return matrix_of(translation, rotation, scale)
 
@@ -148,8 +148,8 @@ def _layer(body: GltfBody) -> Layer:
     known: dict[tuple[int, ...], str] = {}
     static, deforming = [], []
     roots = scene_roots(file)
-    shown = nodes_below(file, roots) if roots else list(range(len(nodes)))
-    for number in shown:
+    scene_nodes = nodes_below(file, roots) if roots else list(range(len(nodes)))
+    for number in scene_nodes:
         node = nodes[number]
         mesh, skin = file.index(node, "mesh", len(meshes)), file.index(node, "skin", len(skins))
         if mesh is None:

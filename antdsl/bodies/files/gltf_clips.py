@@ -28,18 +28,18 @@ def read_clips(file: Gltf, joint: Mapping[int, str], weights: Mapping[int, tuple
     animations = file.top("animations")
     if len(animations) > limits.BODY_PARTS:
         raise BodyError(f"has {len(animations):,} animations, more than are read", code="too-large")
-    found: dict[str, Clip] = {}
+    clips: dict[str, Clip] = {}
     left = limits.CLIP_BYTES
     for number, animation in enumerate(animations):
         name, count = file.name(animation, f"clip{number}"), 2
         own = name
-        while name in found:
+        while name in clips:
             name, count = f"{own}_{count}", count + 1
         clip, size = _clip(file, animation, name, joint, weights, rig, rate, left)
         left -= size
         if clip is not None:
-            found[name] = clip
-    return list(found.values())
+            clips[name] = clip
+    return list(clips.values())
 
 
 def even_times(seconds: float, rate: float) -> tuple[NDArray[Any], float]:
@@ -96,39 +96,39 @@ def _clip(
     values = np.array([keys.at(times)[:, column] for keys, column in shares.values()]).reshape(len(shares), len(times)).T
     if not all((np.abs(part) <= limits.LARGEST).all() for part in (translation, rotation, scale, shear, values)):
         raise BodyError(f"has a clip `{name}` with a value that is not finite", _EXPORT)
-    made = Clip(
+    clip = Clip(
         name, rate, joints,
         translation.astype(np.float32), one_sign(unit_quaternion(rotation)).astype(np.float32), scale.astype(np.float32),
         shear.astype(np.float32) if (np.abs(shear) > 1e-6).any() else None,
         tuple(shares), np.ascontiguousarray(values, np.float32), settings.get("loop", True), float(settings.get("stride", 0.0)),
-        {mark: float(moment) for mark, moment in settings.get("marks", {}).items()}, settings.get("feet", True),
+        {mark: float(mark_time) for mark, mark_time in settings.get("marks", {}).items()}, settings.get("feet", True),
     )  # fmt: skip
-    return made, size
+    return clip, size
 
 
 def write_settings(clip: Clip) -> dict[str, Any]:
     """Return the extras of an animation: the clip's settings that glTF cannot express."""
-    found: dict[str, Any] = {"rate": clip.rate, "loop": clip.loop, "feet": clip.feet}
+    settings: dict[str, Any] = {"rate": clip.rate, "loop": clip.loop, "feet": clip.feet}
     if clip.stride:
-        found["stride"] = clip.stride
+        settings["stride"] = clip.stride
     if clip.marks:
-        found["marks"] = dict(clip.marks)
-    return {EXTRAS: found}
+        settings["marks"] = dict(clip.marks)
+    return {EXTRAS: settings}
 
 
 def _settings(animation: dict[str, Any], name: str) -> dict[str, Any]:
     """Return what `write_settings` wrote, if it is there. Raises BodyError for any other values."""
     extras = animation.get("extras")
-    given = extras.get(EXTRAS) if isinstance(extras, dict) else None
-    if given is None:
+    settings = extras.get(EXTRAS) if isinstance(extras, dict) else None
+    if settings is None:
         return {}
     numbers = {"rate": (0.001, 100_000.0), "stride": (0.0, limits.LARGEST)}
-    if isinstance(given, dict):
-        marks = given.get("marks", {})
+    if isinstance(settings, dict):
+        marks = settings.get("marks", {})
         good = isinstance(marks, dict) and all(_is_number(each, 0.0, limits.LARGEST) for each in marks.values())
-        good = good and all(_is_number(given[key], *ends) for key, ends in numbers.items() if key in given)
-        if good and all(isinstance(given.get(key, True), bool) for key in ("loop", "feet")):
-            return given
+        good = good and all(_is_number(settings[key], *ends) for key, ends in numbers.items() if key in settings)
+        if good and all(isinstance(settings.get(key, True), bool) for key in ("loop", "feet")):
+            return settings
     hint = "they are an object of rate, stride, loop, feet and marks: delete or correct it"
     raise BodyError(f"has unknown extras `{EXTRAS}` in the clip `{name}`", hint)
 
@@ -161,23 +161,23 @@ class _Keys:
             return np.broadcast_to(own[0], (len(times), own.shape[1]))
         if len(keys) == len(times) and (keys.astype(np.float32) == times.astype(np.float32)).all():
             return own
-        before = np.clip(np.searchsorted(keys, times, side="right") - 1, 0, len(keys) - 2)
-        step = keys[before + 1] - keys[before]
-        share = np.clip((times - keys[before]) / np.where(step > 0, step, 1.0), 0.0, 1.0)
+        previous_key = np.clip(np.searchsorted(keys, times, side="right") - 1, 0, len(keys) - 2)
+        step = keys[previous_key + 1] - keys[previous_key]
+        share = np.clip((times - keys[previous_key]) / np.where(step > 0, step, 1.0), 0.0, 1.0)
         share = np.where(step > 0, share, 1.0)
         if self.kind == "STEP":
-            return np.where(share[:, None] >= 1.0, own[before + 1], own[before])
+            return np.where(share[:, None] >= 1.0, own[previous_key + 1], own[previous_key])
         if self.kind == "CUBICSPLINE":
-            return self._spline(before, share, step)
+            return self._spline(previous_key, share, step)
         if rotation:
-            return between_rotations(unit_quaternion(own[before]), unit_quaternion(own[before + 1]), share)
-        return own[before] + share[:, None] * (own[before + 1] - own[before])
+            return between_rotations(unit_quaternion(own[previous_key]), unit_quaternion(own[previous_key + 1]), share)
+        return own[previous_key] + share[:, None] * (own[previous_key + 1] - own[previous_key])
 
-    def _spline(self, before: NDArray[np.int64], share: Floats, step: Floats) -> Floats:
+    def _spline(self, previous_key: NDArray[np.int64], share: Floats, step: Floats) -> Floats:
         """Hermite splines: tangents are per second."""
         t, d = share[:, None], step[:, None]
         t2, t3 = t * t, t * t * t
-        start, leaving = self.values[before, 1], self.values[before, 2]
-        arriving, end = self.values[before + 1, 0], self.values[before + 1, 1]
+        start, leaving = self.values[previous_key, 1], self.values[previous_key, 2]
+        arriving, end = self.values[previous_key + 1, 0], self.values[previous_key + 1, 1]
         first = (2 * t3 - 3 * t2 + 1) * start + d * (t3 - 2 * t2 + t) * leaving
         return np.asarray(first + (3 * t2 - 2 * t3) * end + d * (t3 - t2) * arriving)

@@ -37,10 +37,10 @@ class GltfBody:
 def unused(name: str, taken: Iterable[str]) -> str:
     """Return a name that is not taken: itself, or with the first free number appended."""
     taken = taken if isinstance(taken, set | dict) else set(taken)
-    made, count = name, 2
-    while made in taken:
-        made, count = f"{name}_{count}", count + 1
-    return made
+    candidate, count = name, 2
+    while candidate in taken:
+        candidate, count = f"{name}_{count}", count + 1
+    return candidate
 
 
 @dataclass(slots=True)
@@ -77,8 +77,8 @@ def read_shape(body: GltfBody, name: str, mesh: dict[str, Any], skin: dict[str, 
     normals = _units(np.concatenate([each for each in pieces.normals if each is not None])) if with_normals else None
     uvs = None
     if any(each is not None for each in pieces.uvs):
-        whole = [np.zeros((n, 2)) if each is None else each for each, n in zip(pieces.uvs, counts, strict=True)]
-        uvs = np.concatenate(whole).astype(np.float32)
+        all_uvs = [np.zeros((n, 2)) if each is None else each for each, n in zip(pieces.uvs, counts, strict=True)]
+        uvs = np.concatenate(all_uvs).astype(np.float32)
     materials, material = _materials(body, pieces)
     common = set.intersection(*(set(each) for each in pieces.further))
     further = {key: np.concatenate([each[key] for each in pieces.further]) for key in sorted(common)}
@@ -109,12 +109,12 @@ def _piece(body: GltfBody, pieces: _Pieces, primitive: dict[str, Any], skinned: 
     if "KHR_draco_mesh_compression" in file.object(primitive, "extensions"):
         body.left_out["what is compressed with Draco is not read"] = None
         return
-    given = file.object(primitive, "attributes")
-    if "POSITION" not in given:
+    attributes = file.object(primitive, "attributes")
+    if "POSITION" not in attributes:
         body.left_out["a primitive of a mesh has no positions"] = None
         return
-    shared = repr((sorted(map(str, given.items())), file.listed(primitive, "targets")))
-    points = file.accessor(given["POSITION"], 3).astype(np.float64)
+    shared = repr((sorted(map(str, attributes.items())), file.listed(primitive, "targets")))
+    points = file.accessor(attributes["POSITION"], 3).astype(np.float64)
     if shared in pieces.known:
         _faces(body, pieces, primitive, primitive_triangles(file, primitive, len(points))[0], pieces.known[shared])
         return
@@ -128,14 +128,14 @@ def _piece(body: GltfBody, pieces: _Pieces, primitive: dict[str, Any], skinned: 
     pieces.known[shared] = len(pieces.points)
 
     def of_points(key: str, width: int) -> Floats | None:
-        if key not in given:
+        if key not in attributes:
             return None
-        found = file.accessor(given[key], width)
-        if len(found) != len(points) or not np.isfinite(found).all():
+        array = file.accessor(attributes[key], width)
+        if len(array) != len(points) or not np.isfinite(array).all():
             raise BodyError(
-                f"has `{key}` of {len(found):,} values for {len(points):,} points, or one that is not finite", _EXPORT
+                f"has `{key}` of {len(array):,} values for {len(points):,} points, or one that is not finite", _EXPORT
             )
-        return found.astype(np.float64)
+        return array.astype(np.float64)
 
     pieces.points.append(points)
     pieces.normals.append(of_points("NORMAL", 3))
@@ -145,12 +145,12 @@ def _piece(body: GltfBody, pieces: _Pieces, primitive: dict[str, Any], skinned: 
         moved = [_target(file, target, key, len(points)) for key in ("POSITION", "NORMAL")]
         pieces.targets[-1].append((np.zeros((len(points), 3)) if moved[0] is None else moved[0], moved[1]))
     pieces.further.append({})
-    for key in given:
+    for key in attributes:
         if isinstance(key, str) and key.startswith("_") and key.strip("_"):
-            values = file.accessor(given[key])
+            values = file.accessor(attributes[key])
             if len(values) == len(points) and values.shape[1] == 1 and np.isfinite(values).all():
-                whole = values.dtype == np.int64
-                pieces.further[-1][key.strip("_").lower()] = values[:, 0].astype(np.int64 if whole else np.float32)
+                is_integer = values.dtype == np.int64
+                pieces.further[-1][key.strip("_").lower()] = values[:, 0].astype(np.int64 if is_integer else np.float32)
     if skinned:
         _follow(pieces, of_points, len(points))
 
@@ -167,10 +167,10 @@ def _faces(body: GltfBody, pieces: _Pieces, primitive: dict[str, Any], faces: ND
 def _target(file: Gltf, target: dict[str, Any], key: str, count: int) -> Floats | None:
     if key not in target:
         return None
-    found = file.accessor(target[key], 3)
-    if len(found) != count or not np.isfinite(found).all():
-        raise BodyError(f"has a morph target of {len(found):,} values for {count:,} points, or one that is not finite", _EXPORT)
-    return found.astype(np.float64)
+    offsets = file.accessor(target[key], 3)
+    if len(offsets) != count or not np.isfinite(offsets).all():
+        raise BodyError(f"has a morph target of {len(offsets):,} values for {count:,} points, or one that is not finite", _EXPORT)
+    return offsets.astype(np.float64)
 
 
 def _follow(pieces: _Pieces, of_points: Callable[[str, int], Floats | None], count: int) -> None:
@@ -194,10 +194,10 @@ def _capture(body: GltfBody, pieces: _Pieces, skin: dict[str, Any], name: str) -
         raise BodyError("has a skin without joints", _EXPORT)
     inverse = np.tile(np.eye(4), (len(names), 1, 1))
     if "inverseBindMatrices" in skin:
-        found = file.accessor(skin["inverseBindMatrices"], 16)
-        if len(found) < len(names) or not np.isfinite(found).all():
-            raise BodyError(f"has {len(found)} inverse bind matrices for {len(names)} joints, or one not finite", _EXPORT)
-        inverse = np.ascontiguousarray(found[: len(names)].astype(np.float64).reshape(-1, 4, 4).transpose(0, 2, 1))
+        matrices = file.accessor(skin["inverseBindMatrices"], 16)
+        if len(matrices) < len(names) or not np.isfinite(matrices).all():
+            raise BodyError(f"has {len(matrices)} inverse bind matrices for {len(names)} joints, or one not finite", _EXPORT)
+        inverse = np.ascontiguousarray(matrices[: len(names)].astype(np.float64).reshape(-1, 4, 4).transpose(0, 2, 1))
     columns = max(each.shape[1] for each in pieces.joints)
     joints = np.concatenate([np.pad(each, ((0, 0), (0, columns - each.shape[1]))) for each in pieces.joints])
     weights = np.concatenate([np.pad(each, ((0, 0), (0, columns - each.shape[1]))) for each in pieces.weights])
@@ -232,8 +232,12 @@ def _targets(body: GltfBody, shape: Shape, pieces: _Pieces, mesh: dict[str, Any]
     """Shapes of the library for the morph targets of a mesh, and channels that weigh them."""
     file, number = body.file, len(pieces.targets[0])
     extras = mesh.get("extras")
-    given = extras.get("targetNames") if isinstance(extras, dict) else None
-    names = given if isinstance(given, list) and len(given) == number and all(isinstance(n, str) and n for n in given) else None
+    target_names = extras.get("targetNames") if isinstance(extras, dict) else None
+    names = (
+        target_names
+        if isinstance(target_names, list) and len(target_names) == number and all(isinstance(n, str) and n for n in target_names)
+        else None
+    )
     weights = file.floats(node if "weights" in node else mesh, "weights", (0.0,) * number)
     shapes, channels = [], []
     for count in range(number):
@@ -263,11 +267,11 @@ def _materials(body: GltfBody, pieces: _Pieces) -> tuple[tuple[str, ...], NDArra
         return (), None
     names: dict[str, None] = {}
     numbers = []
-    for given, faces in zip(pieces.material, pieces.faces, strict=True):
-        name = "default" if given is None else file.name(known[given], f"material{given}")
+    for material, faces in zip(pieces.material, pieces.faces, strict=True):
+        name = "default" if material is None else file.name(known[material], f"material{material}")
         colour = (1.0, 1.0, 1.0)
-        if given is not None:
-            pbr = file.object(known[given], "pbrMetallicRoughness")
+        if material is not None:
+            pbr = file.object(known[material], "pbrMetallicRoughness")
             if "baseColorTexture" in pbr:
                 body.left_out[f"the texture of `{name}` is not read, its base colour is"] = None
             red, green, blue, _ = np.clip(file.floats(pbr, "baseColorFactor", (1.0, 1.0, 1.0, 1.0)), 0.0, 1.0)

@@ -47,22 +47,22 @@ class GltfWriter:
         raw = rows.tobytes()
         view: Entry = {"buffer": 0, "byteOffset": len(self.data), "byteLength": len(raw)}
         self.data += raw
-        made: Entry = {
+        entry: Entry = {
             "bufferView": self.add("bufferViews", view | ({"target": target} if target else {})),
             "componentType": _COMPONENTS[kind], "count": len(rows), "type": _TYPES[rows.shape[1]],
         }  # fmt: skip
         if bounds:
-            made |= {"min": rows.min(axis=0).tolist(), "max": rows.max(axis=0).tolist()}
-        return self.add("accessors", made)
+            entry |= {"min": rows.min(axis=0).tolist(), "max": rows.max(axis=0).tolist()}
+        return self.add("accessors", entry)
 
-    def bytes(self, text: bool, **more: Any) -> bytes:
-        """Return the file: a .gltf with an embedded buffer if `text`, else a .glb. `more`: `scene`, `extras`."""
+    def bytes(self, text: bool, **top_entries: Any) -> bytes:
+        """Return the file: a .gltf with an embedded buffer if `text`, else a .glb. `top_entries`: `scene`, `extras`."""
         data = bytes(self.data) + bytes(-len(self.data) % 4)
         lists = {key: entries for key, entries in self._lists.items() if entries}
         buffer: Entry = {"byteLength": len(data)}
         if text:
             buffer["uri"] = "data:application/octet-stream;base64," + b64encode(data).decode("ascii")
-        tree = {"asset": self._asset, **more, **({"buffers": [buffer]} if data else {}), **lists}
+        tree = {"asset": self._asset, **top_entries, **({"buffers": [buffer]} if data else {}), **lists}
         said = json.dumps(tree, separators=(",", ":"), allow_nan=False, ensure_ascii=text).encode()
         if text:
             return said + b"\n"
@@ -85,9 +85,9 @@ class ShapeParts:
             self.attributes["TEXCOORD_0"] = writer.accessor(shape.uvs, "f4", VERTICES)
         for name, values in shape.attributes.items():
             if values.ndim == 1:
-                whole = values.dtype.kind == "i" and len(values) and values.min() >= 0 and values.max() < 2**32
-                if whole or values.dtype.kind == "f":
-                    self.attributes[f"_{name.upper()}"] = writer.accessor(values, "u4" if whole else "f4", VERTICES)
+                is_integer = values.dtype.kind == "i" and len(values) and values.min() >= 0 and values.max() < 2**32
+                if is_integer or values.dtype.kind == "f":
+                    self.attributes[f"_{name.upper()}"] = writer.accessor(values, "u4" if is_integer else "f4", VERTICES)
         self._capture()
         self.targets = Targets(body, shape) if shape.blend is not None else None
         self._moved = [] if self.targets is None else [self._target(*each) for each in self.targets.moved]
@@ -102,16 +102,16 @@ class ShapeParts:
         order = np.argsort(-capture.weights, axis=1, kind="stable")
         joints, weights = (np.take_along_axis(each, order, axis=1) for each in (capture.joints, capture.weights))
         for k in range(0, count, 4):
-            some = [np.pad(each[:, k : k + 4], ((0, 0), (0, max(0, k + 4 - count)))) for each in (joints, weights)]
-            some[0][some[1] <= 0] = 0
-            self.attributes[f"JOINTS_{k // 4}"] = self.writer.accessor(some[0], "u2", VERTICES)
-            self.attributes[f"WEIGHTS_{k // 4}"] = self.writer.accessor(some[1], "f4", VERTICES)
+            influences = [np.pad(each[:, k : k + 4], ((0, 0), (0, max(0, k + 4 - count)))) for each in (joints, weights)]
+            influences[0][influences[1] <= 0] = 0
+            self.attributes[f"JOINTS_{k // 4}"] = self.writer.accessor(influences[0], "u2", VERTICES)
+            self.attributes[f"WEIGHTS_{k // 4}"] = self.writer.accessor(influences[1], "f4", VERTICES)
 
     def _target(self, points: NDArray[np.float32], normals: NDArray[np.float32] | None) -> Entry:
-        found = {"POSITION": self.writer.accessor(points, "f4", VERTICES, bounds=True)}
+        entry = {"POSITION": self.writer.accessor(points, "f4", VERTICES, bounds=True)}
         if normals is not None and "NORMAL" in self.attributes:
-            found["NORMAL"] = self.writer.accessor(normals, "f4", VERTICES)
-        return found
+            entry["NORMAL"] = self.writer.accessor(normals, "f4", VERTICES)
+        return entry
 
     def _by_material(self) -> list[tuple[str, int]]:
         """Return the materials of the triangles by ascending number, each with the accessor of its triangles' corners."""
@@ -128,12 +128,12 @@ class ShapeParts:
         """Add a mesh with materials by name and return its number; a name that is not in `materials` gets no material."""
         primitives = []
         for material, indices in self._kinds:
-            made: Entry = {"attributes": self.attributes, "indices": indices}
+            primitive: Entry = {"attributes": self.attributes, "indices": indices}
             if material in materials:
-                made["material"] = materials[material]
+                primitive["material"] = materials[material]
             if self._moved:
-                made["targets"] = self._moved
-            primitives.append(made)
+                primitive["targets"] = self._moved
+            primitives.append(primitive)
         entry: Entry = {"name": name, "primitives": primitives}
         if self.targets is not None:
             entry["extras"] = {"targetNames": list(self.targets.names)}
@@ -175,10 +175,10 @@ class Targets:
         if not blended or values_of(shape, which) is None or values_of(target, which) is None:
             return np.zeros((len(shape.points), 3), np.float32) if which == "P" else None
         assert shape.blend is not None
-        here, there = matched(shape, target, shape.blend.point_id)
-        found = np.zeros((len(shape.points), 3), np.float32)
-        found[here] = difference(shape, target, which, here, there).T
-        return found
+        base_points, target_points = matched(shape, target, shape.blend.point_id)
+        offsets = np.zeros((len(shape.points), 3), np.float32)
+        offsets[base_points] = difference(shape, target, which, base_points, target_points).T
+        return offsets
 
     def weights(self, channels: NDArray[np.float32]) -> NDArray[np.float32]:
         """The weights (n, targets) at values (n, C) of the rig's channels."""
@@ -190,5 +190,7 @@ def _units(normals: NDArray[np.float32]) -> NDArray[np.float32]:
     """Return normals of length 1, to the precision that the format requires; a zero normal becomes up."""
     wide = normals.astype(np.float64)
     length = np.sqrt((wide * wide).sum(axis=1, keepdims=True))
-    found: NDArray[np.float32] = np.where(length > 1e-12, wide / np.maximum(length, 1e-12), (0.0, 1.0, 0.0)).astype(np.float32)
-    return found
+    unit_normals: NDArray[np.float32] = np.where(length > 1e-12, wide / np.maximum(length, 1e-12), (0.0, 1.0, 0.0)).astype(
+        np.float32
+    )
+    return unit_normals

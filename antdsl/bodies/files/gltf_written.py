@@ -21,28 +21,28 @@ _STILL: dict[str, tuple[float, ...]] = {"translation": (0, 0, 0), "rotation": (0
 def write_gltf(body: Definition, layer: Layer, *, text: bool) -> tuple[bytes, list[str]]:
     """Return the bytes of a .gltf (`text`) or .glb file of a definition with the shapes of one layer, and sentences about what
     glTF cannot store."""
-    made = _Written(in_axes(body, FRONT, UP, METRE), layer)
-    data = made.writer.bytes(text, scene=0, scenes=[{"nodes": made.roots}])
-    return data, [*made.notes, *_left_out(body, layer)]
+    document = _Written(in_axes(body, FRONT, UP, METRE), layer)
+    data = document.writer.bytes(text, scene=0, scenes=[{"nodes": document.roots}])
+    return data, [*document.notes, *_left_out(body, layer)]
 
 
 def _left_out(body: Definition, layer: Layer) -> list[str]:
     drawn = {binding.shape for binding in (*layer.static, *layer.deforming)}
     inputs = {s for shape in body.shapes.values() for s in (shape.blend.shapes if shape.blend else ())}
     others = [name for name in body.shapes if name not in drawn | inputs]
-    found = [f"the layer `{name}` is left out: glTF has one" for name in body.layers if name != layer.name]
-    found += [f"the shape `{name}` is left out: no layer that is written has it" for name in others[:4]]
+    notes = [f"the layer `{name}` is left out: glTF has one" for name in body.layers if name != layer.name]
+    notes += [f"the shape `{name}` is left out: no layer that is written has it" for name in others[:4]]
     if body.groups:
-        found.append("transform groups are left out: glTF has none")
+        notes.append("transform groups are left out: glTF has none")
     if body.metadata:
-        found.append("metadata is left out")
+        notes.append("metadata is left out")
     if body.legs or body.gaits:
-        found.append("legs and gaits are left out: glTF has none")
+        notes.append("legs and gaits are left out: glTF has none")
     if any("dualquat" in binding.deformer for binding in layer.deforming):
-        found.append("dual quaternion skinning is linear there: glTF has no other")
+        notes.append("dual quaternion skinning is linear there: glTF has no other")
     if any(shape.between for shape in body.shapes.values()):
-        found.append("in-betweens are morph targets of their own, with the weights that they have at each sample")
-    return found
+        notes.append("in-betweens are morph targets of their own, with the weights that they have at each sample")
+    return notes
 
 
 class _Written:

@@ -50,16 +50,16 @@ def read_json(source: Source, what: str) -> tuple[Node | None, Report]:
     """Return the tree of a text, or None and the first mistake. `what` names the expected part, such as `a rig`."""
     reader = _Reader(source, what)
     try:
-        return reader.whole(), reader.report
+        return reader.document(), reader.report
     except _Refused:
         return None, reader.report
 
 
 def number_place(source: Source, node: Node, number: int) -> Span:
     """Where a number of an array of numbers stands."""
-    for count, found in enumerate(re.finditer(r"[^\s,\[\]]+", source.text[node.start : node.end])):
+    for count, match in enumerate(re.finditer(r"[^\s,\[\]]+", source.text[node.start : node.end])):
         if count == number:
-            return Span(source, node.start + found.start(), node.start + found.end())
+            return Span(source, node.start + match.start(), node.start + match.end())
     return Span(source, node.start, node.end)
 
 
@@ -76,14 +76,14 @@ class _Reader:
         return _Refused()
 
     def space(self, at: int) -> int:
-        found = _SPACE.match(self.text, at)
-        assert found is not None
-        at = found.end()
+        match = _SPACE.match(self.text, at)
+        assert match is not None
+        at = match.end()
         if self.text.startswith("/*", at):
             raise self.refuse(at, at + 2, "this comment is not closed", "write `*/` where it ends")
         return at
 
-    def whole(self) -> Node:
+    def document(self) -> Node:
         at = self.space(0)
         if at == len(self.text):
             raise self.refuse(0, 0, f"the file is empty: expected {self.what}", "write `{ … }`")
@@ -104,27 +104,27 @@ class _Reader:
             return self.object(at, depth)
         if sign == '"':
             return self.string(at)
-        found = _NUMBER.match(self.text, at)
-        if found:
-            return Node(self.number(found), at, found.end())
+        match = _NUMBER.match(self.text, at)
+        if match:
+            return Node(self.number(match), at, match.end())
         return self.word(at)
 
-    def number(self, found: re.Match[str]) -> int | float:
-        if found.end() - found.start() > _DIGITS:
-            raise self.refuse(found.start(), found.end(), "a number has too many digits", "round it")
-        value = float(found[0])
+    def number(self, match: re.Match[str]) -> int | float:
+        if match.end() - match.start() > _DIGITS:
+            raise self.refuse(match.start(), match.end(), "a number has too many digits", "round it")
+        value = float(match[0])
         if not isfinite(value):
-            words = f"`{found[0][:40]}` is too large for a number"
-            raise self.refuse(found.start(), found.end(), words, "write a smaller one", code="out-of-range")
-        return value if found[1] or found[2] else int(found[0])
+            words = f"`{match[0][:40]}` is too large for a number"
+            raise self.refuse(match.start(), match.end(), words, "write a smaller one", code="out-of-range")
+        return value if match[1] or match[2] else int(match[0])
 
     def numbers(self, at: int) -> Node | None:
         """Parse an array of only numbers, the usual form of a clip's values. Return None for any other array, and for
         mistakes."""
-        found = _NUMBERS.match(self.text, at)
-        if not found:
+        match = _NUMBERS.match(self.text, at)
+        if not match:
             return None
-        inside = found[0][1:-1].strip()
+        inside = match[0][1:-1].strip()
         inside = inside.removesuffix(",") if inside != "," else inside
         try:
             values = json.loads(f"[{inside}]")
@@ -133,7 +133,7 @@ class _Reader:
         if not all(-_FARTHEST <= each <= _FARTHEST for each in values):
             return None
         self.count += len(values) // 16  # a plain number takes less than a node
-        return Node(values, at, found.end(), numbers=True)
+        return Node(values, at, match.end(), numbers=True)
 
     def deeper(self, at: int, depth: int) -> int:
         if depth >= limits.NESTING:
@@ -172,8 +172,8 @@ class _Reader:
     def key(self, at: int) -> Node:
         if self.text[at] == '"':
             return self.string(at)
-        found = _WORD.match(self.text, at)
-        word = found[0] if found else self.text[at]
+        match = _WORD.match(self.text, at)
+        word = match[0] if match else self.text[at]
         bare = word.strip("'")
         help = f'write `"{bare}"`' if re.fullmatch("[A-Za-z0-9_.-]+", bare) else 'write `"key": value`'
         raise self.refuse(at, at + len(word), f"a key stands in double quotes, and `{word}` does not", help)
@@ -197,26 +197,26 @@ class _Reader:
         return at
 
     def string(self, at: int) -> Node:
-        found = _STRING.match(self.text, at)
-        if not found:
+        match = _STRING.match(self.text, at)
+        if not match:
             line = re.compile(r"[^\n]*").match(self.text, at)
             end = line.end() if line else at + 1
             raise self.refuse(
                 at, end, "this text has no closing quote on its line, or a sign that must be escaped", 'write `"…"`'
             )
         try:
-            text = str(json.loads(found[0]))
+            text = str(json.loads(match[0]))
         except ValueError:
             raise self.refuse(
-                at, found.end(), "this text has a `\\` that means nothing", "write `\\\\` for a backslash"
+                at, match.end(), "this text has a `\\` that means nothing", "write `\\\\` for a backslash"
             ) from None
         if _LONE.search(text):
-            raise self.refuse(at, found.end(), "this text has half a character (a lone surrogate)", "write the character itself")
-        return Node(text, at, found.end())
+            raise self.refuse(at, match.end(), "this text has half a character (a lone surrogate)", "write the character itself")
+        return Node(text, at, match.end())
 
     def word(self, at: int) -> Node:
-        found = _WORD.match(self.text, at)
-        word = found[0] if found else self.text[at : at + 1]
+        match = _WORD.match(self.text, at)
+        word = match[0] if match else self.text[at : at + 1]
         if word in _WORDS:
             return Node(_WORDS[word], at, at + len(word))
         message, help = f"`{word}` is no value", None
@@ -228,7 +228,7 @@ class _Reader:
             message, help = "text stands in double quotes", 'write `"…"`'
         elif re.match(r"[-+.]?[0-9.]", word):
             message, help = f"`{word}` is not written as a number", "write `0.5`, `-2` or `1e-3`"
-        elif found:
+        elif match:
             help = f'write `"{word}"`' if re.fullmatch("[A-Za-z_]+", word) else None
         elif word == ",":
             message, help = "a value is missing before this comma", "delete the comma"

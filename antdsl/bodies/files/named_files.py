@@ -57,7 +57,7 @@ class BodyFiles:
     report: Report
     folder: str = ""
     named: dict[str, Path] = field(default_factory=dict)
-    kept: dict[tuple[str, str, float, bool], Definition | None] = field(default_factory=dict)
+    cached_definitions: dict[tuple[str, str, float, bool], Definition | None] = field(default_factory=dict)
 
     def full(self, path: str) -> str:
         """A path as the roots take it."""
@@ -82,10 +82,10 @@ class BodyFiles:
         """Read a part from a separate JSON file. Return it with the values of that file, for later findings."""
         if self.closed(path, place):
             return None, None
-        kept: list[Values] = []
+        file_values: list[Values] = []
 
         def noted(values: Values, node: Node) -> T:
-            kept.append(values)
+            file_values.append(values)
             return read(values, node)
 
         try:
@@ -93,11 +93,11 @@ class BodyFiles:
         except PathRefused as why:
             self.refused(why, place)
             return None, None
-        found, report = read_part(data, self.shown(path), what, noted)
+        result, report = read_part(data, self.display_path(path), what, noted)
         self.report.extend(report)
-        return found, kept[0] if kept else None
+        return result, file_values[0] if file_values else None
 
-    def shown(self, path: str) -> str:
+    def display_path(self, path: str) -> str:
         """How a file is called in complaints."""
         full = self.full(path)
         beside = next(iter(self.named.values()), None)
@@ -112,22 +112,22 @@ class BodyFiles:
         samples per second of its animations, 0 for the file's own. `pose`: rest pose of what glTF animations do not key."""
         full = self.full(path)
         pose = pose if ending(path) in GLTF else None
-        plain = self.kept.get((full, prim, rate, False))
+        plain = self.cached_definitions.get((full, prim, rate, False))
         posed = pose is not None and (plain is None or _rests_apart(plain.rig, pose))
         key = (full, prim, rate, posed)
-        if key not in self.kept:
-            self.kept[key] = self._body(path, place, prim, rate, pose)
-        return self.kept[key]
+        if key not in self.cached_definitions:
+            self.cached_definitions[key] = self._body(path, place, prim, rate, pose)
+        return self.cached_definitions[key]
 
     def _body(self, path: str, place: Span | None, prim: str, rate: float, pose: Rig | None) -> Definition | None:
         full, kind = self.full(path), ending(path)
         name = posixpath.basename(full.rpartition(":")[2]).rpartition(".")[0] or "body"
         try:
             if kind in USD:
-                found, left_out = self._usd(full, prim or "/", name, rate)
+                definition, left_out = self._usd(full, prim or "/", name, rate)
             else:
                 data = self.bytes_of(full, limits.BODY_BYTES)
-                found, left_out = read_gltf(data, name, self._beside(full), rate or RATE, pose)
+                definition, left_out = read_gltf(data, name, self._beside(full), rate or RATE, pose)
         except UsdError as why:
             self.report.error(why.code, str(why), place, why.help)
             return None
@@ -135,11 +135,11 @@ class BodyFiles:
             self.refused(why, place)
             return None
         except BodyError as why:
-            self.report.error(why.code, f"`{self.shown(path)}` {why}", place, why.help)
+            self.report.error(why.code, f"`{self.display_path(path)}` {why}", place, why.help)
             return None
         for sentence in left_out:
-            self.report.warning("body-left-out", f"of `{self.shown(path)}`: {sentence}", place)
-        return found
+            self.report.warning("body-left-out", f"of `{self.display_path(path)}`: {sentence}", place)
+        return definition
 
     def _beside(self, full: str) -> Callable[[str, int], bytes]:
         """Return a reader of files that a file names relative to its own folder."""
@@ -152,18 +152,18 @@ class BodyFiles:
 
         roots, text = self.roots, full
         if full in self.named:
-            found = self.named[full].resolve()
-            roots, text = Roots(found.parent, self.roots.granted), found.name
+            target = self.named[full].resolve()
+            roots, text = Roots(target.parent, self.roots.granted), target.name
         return read_usd(roots, text, prim, name, rate)
 
     def included(self, condensed: str, absolute: str) -> str:
         """Return the path of a shape library that is named twice. The condensed path (`$HIP/shapes.glb`, `$JOB/…`, or relative)
         is searched below the definition's folder or a granted root. The absolute path is used only if a root grants its folder.
         Raises PathRefused if neither can be used."""
-        found = _VARIABLE.fullmatch(condensed)
+        match = _VARIABLE.fullmatch(condensed)
         path = condensed
-        if found:
-            variable, rest = found[1] or found[2], found[3]
+        if match:
+            variable, rest = match[1] or match[2], match[3]
             path = rest if variable in ("HIP", "HIPFILE") else f"{variable}:{rest}"
         try:
             self.roots.exists(self.full(path))
@@ -177,11 +177,11 @@ class BodyFiles:
 
     def _granted(self, absolute: str) -> str | None:
         """Return an absolute path, written with the name of the root that grants it."""
-        whole = os.path.normpath(absolute)
+        full_path = os.path.normpath(absolute)
         for name, folder in (("", self.roots.folder), *sorted(self.roots.granted.items())):
             root = os.path.abspath(folder)
-            if absolute and whole.startswith(root + os.sep):
-                below = Path(whole).relative_to(root).as_posix()
+            if absolute and full_path.startswith(root + os.sep):
+                below = Path(full_path).relative_to(root).as_posix()
                 if name:
                     return f"{name}:{below}"
                 if below.startswith(self.folder):

@@ -9,9 +9,9 @@ from collections import OrderedDict
 from dataclasses import dataclass
 from pathlib import Path
 
-from antdsl.bodies.agents.definition import Definition, spoken
+from antdsl.bodies.agents.definition import Definition, with_language_names
 from antdsl.bodies.files.checked_values import Values
-from antdsl.bodies.files.definition_checks import whole
+from antdsl.bodies.files.definition_checks import check_definition
 from antdsl.bodies.files.definition_document import Parts, read_document
 from antdsl.bodies.files.json_text import Node
 from antdsl.bodies.files.named_files import GLTF, USD, BodyFiles, ending
@@ -36,22 +36,22 @@ def read_definition(
         text = path.name
         roots = roots or Roots(path.resolve().parent)
         files = BodyFiles(roots, report, named={text: path})
-        shown = str(path)
+        display_path = str(path)
     else:
-        text = shown = path
+        text = display_path = path
         folder = text[: max(text.rfind("/"), text.find(":")) + 1]
         files = BodyFiles(roots or Roots(Path.cwd()), report, folder)
         text = text[len(folder) :]
-    if files.closed(shown, place):
+    if files.closed(display_path, place):
         return None, report
-    kind = ending(shown)
+    kind = ending(display_path)
     name = text.rpartition(".")[0] or "body"
     if kind in GLTF or kind in USD:
-        found = files.body(text, place, prim, rate)
-        return (whole(Parts(found, whole=place), report) if found is not None else None), report
+        definition = files.body(text, place, prim, rate)
+        return (check_definition(Parts(definition, span=place), report) if definition is not None else None), report
     if kind != "json":
         kinds = ", ".join(f".{each}" for each in ("json", *GLTF, *USD))
-        report.error("wrong-kind", f"`{shown[-80:]}` is no file of a body", place, f"one of {kinds} is read")
+        report.error("wrong-kind", f"`{display_path[-80:]}` is no file of a body", place, f"one of {kinds} is read")
         return None, report
 
     def document(values: Values, node: Node) -> Parts | None:
@@ -59,18 +59,18 @@ def read_definition(
         return read_document(values, node, files, name)
 
     parts, _ = files.part(text, "a definition", document, place)
-    return (None if parts is None else whole(parts, report)), report
+    return (None if parts is None else check_definition(parts, report)), report
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Kept:
+class CachedDefinition:
     """A definition with all files it was read from: the root of each, and its size, time and file number."""
 
     definition: Definition
     files: dict[Path, tuple[Path | None, Stamp]]
 
 
-_kept: OrderedDict[tuple[object, ...], Kept] = OrderedDict()
+_kept: OrderedDict[tuple[object, ...], CachedDefinition] = OrderedDict()
 
 
 def definition_at(text: str, roots: Roots, place: Span) -> tuple[Definition | None, Report]:
@@ -84,15 +84,17 @@ def definition_at(text: str, roots: Roots, place: Span) -> tuple[Definition | No
             note(path, root)
         return known.definition, Report()
     with sought() as files:
-        found, report = read_definition(text, roots, place)
-    found = None if found is None else spoken(found)
+        definition, report = read_definition(text, roots, place)
+    definition = None if definition is None else with_language_names(definition)
     _kept.pop(key, None)
     stamps = _stamps(files)
-    if found is not None and not report.sorted() and all(stamp is not None for _, stamp in stamps.values()):
-        _kept[key] = Kept(found, {path: (root, stamp) for path, (root, stamp) in stamps.items() if stamp is not None})
+    if definition is not None and not report.sorted() and all(stamp is not None for _, stamp in stamps.values()):
+        _kept[key] = CachedDefinition(
+            definition, {path: (root, stamp) for path, (root, stamp) in stamps.items() if stamp is not None}
+        )
         while len(_kept) > MOST:
             _kept.popitem(last=False)
-    return found, report
+    return definition, report
 
 
 def _stamps(files: Sought) -> dict[Path, tuple[Path | None, Stamp | None]]:
@@ -106,7 +108,7 @@ def _stamp(path: Path, root: Path | None) -> Stamp | None:
     except OSError:
         return None
     try:
-        told = os.fstat(handle)
+        status = os.fstat(handle)
     finally:
         os.close(handle)
-    return told.st_size, told.st_mtime_ns, told.st_ino, told.st_ctime_ns
+    return status.st_size, status.st_mtime_ns, status.st_ino, status.st_ctime_ns

@@ -41,15 +41,15 @@ def read_shapes(
         entries = values.object(each, "a shape", _KNOWN)
         if entries is None:
             continue
-        found = _referred(values, each, entries, files, shapes, materials)
+        new_shapes = _referred(values, each, entries, files, shapes, materials)
         name = values.text(entries.get("name"), "the name of a shape")
         factor = _factor(values, entries.get("units"), unit)
-        if name is not None and len(found) != 1:
-            if found:
-                words = f"a name is given, and the file has {len(found)} shapes"
-                values.report.error("wrong-value", words, values.span(entries["name"]), f'add `"shape": "{found[0].name}"`')
+        if name is not None and len(new_shapes) != 1:
+            if new_shapes:
+                words = f"a name is given, and the file has {len(new_shapes)} shapes"
+                values.report.error("wrong-value", words, values.span(entries["name"]), f'add `"shape": "{new_shapes[0].name}"`')
             continue
-        for shape in found:
+        for shape in new_shapes:
             shape = scaled(shape, factor) if factor != 1.0 else shape
             if "file" not in entries:
                 shapes.pop(shape.name, None)
@@ -72,23 +72,23 @@ def _referred(
     materials: dict[str, tuple[float, float, float]],
 ) -> list[Shape]:  # fmt: skip
     """The shapes that a reference means."""
-    wanted = values.text(entries.get("shape"), "the name of a shape in the file")
+    shape_name = values.text(entries.get("shape"), "the name of a shape in the file")
     if "file" not in entries:
-        if wanted is None:
+        if shape_name is None:
             values.report.error("missing-key", "a shape has no `file`", values.head(node), 'add `"file": "sword.obj"`')
-        elif wanted not in shapes:
-            values.unknown(values.span(entries["shape"]), "shape", wanted, shapes)
-        return [shapes[wanted]] if wanted is not None and wanted in shapes else []
+        elif shape_name not in shapes:
+            values.unknown(values.span(entries["shape"]), "shape", shape_name, shapes)
+        return [shapes[shape_name]] if shape_name is not None and shape_name in shapes else []
     path = values.text(entries["file"], "the path of a file")
     if path is None:
         return []
-    found = shapes_of(files, path, values.span(entries["file"]), materials, _stem(values, entries, path))
-    if wanted is None or not found:
-        return list(found.values())
-    if wanted not in found:
-        values.unknown(values.span(entries["shape"]), f"shape in `{path[-60:]}`", wanted, found)
+    new_shapes = shapes_of(files, path, values.span(entries["file"]), materials, _stem(values, entries, path))
+    if shape_name is None or not new_shapes:
+        return list(new_shapes.values())
+    if shape_name not in new_shapes:
+        values.unknown(values.span(entries["shape"]), f"shape in `{path[-60:]}`", shape_name, new_shapes)
         return []
-    return [found[wanted]]
+    return [new_shapes[shape_name]]
 
 
 def _stem(values: Values, entries: Mapping[str, Node], path: str) -> str:
@@ -213,5 +213,5 @@ def _blended(values: Values, node: Node, entries: Mapping[str, Node], shape: Sha
 
 
 def _texts(values: Values, node: Node | None, what: str) -> tuple[str, ...]:
-    found = [values.text(each, f"one of the {what}") for each in values.items(node, what)] if node is not None else []
-    return tuple(each for each in found if each is not None)
+    texts = [values.text(each, f"one of the {what}") for each in values.items(node, what)] if node is not None else []
+    return tuple(each for each in texts if each is not None)

@@ -50,10 +50,10 @@ def read_body(request: Message) -> Answer:
     read."""
     said = request.document
     try:
-        found, left_out = _definition(open_stage(request), str(said["prim"]), str(said["name"]), float(said["rate"]))
+        definition, left_out = _definition(open_stage(request), str(said["prim"]), str(said["name"]), float(said["rate"]))
     except BodyError as why:
         raise Refusal(why.code, str(why), why.help, "prim", "body") from why
-    return {"left_out": left_out}, packed(found)
+    return {"left_out": left_out}, packed(definition)
 
 
 def _definition(stage: OpenStage, prim: str, name: str, rate: float) -> tuple[Definition, list[str]]:
@@ -98,8 +98,8 @@ def _definition(stage: OpenStage, prim: str, name: str, rate: float) -> tuple[De
     clips = {clip.name: clip for clip in _clips(body, skeletons, rate)}
     layers = {LAYER: layer} if body.shapes else {}
     unit = float(geom.GetStageMetersPerUnit(stage.stage)) * 1000.0
-    found = Definition(name, rig, body.shapes, layers, clips, materials=body.materials, front=front, up=up, unit=unit)
-    return found, list(body.left_out)
+    definition = Definition(name, rig, body.shapes, layers, clips, materials=body.materials, front=front, up=up, unit=unit)
+    return definition, list(body.left_out)
 
 
 # ---- joints
@@ -108,18 +108,18 @@ def _definition(stage: OpenStage, prim: str, name: str, rate: float) -> tuple[De
 def _bindings(stage: OpenStage) -> Iterator[tuple[Any, Any, list[Any]]]:
     """Yield each skeleton with its UsdSkel queries and those of the meshes that follow it, in file order."""
     skel, usd = pxr("UsdSkel"), pxr("Usd")
-    cache, seen = skel.Cache(), set()
+    cache, visited = skel.Cache(), set()
     predicate = usd.TraverseInstanceProxies()
     for prim in stage.below(stage.prim):
         if prim.IsA(skel.Root):
             cache.Populate(skel.Root(prim), predicate)
             for binding in cache.ComputeSkelBindings(skel.Root(prim), predicate):
-                found = binding.GetSkeleton()
-                if found.GetPath() not in seen:
-                    seen.add(found.GetPath())
-                    yield found.GetPrim(), cache.GetSkelQuery(found), list(binding.GetSkinningTargets())
+                skeleton = binding.GetSkeleton()
+                if skeleton.GetPath() not in visited:
+                    visited.add(skeleton.GetPath())
+                    yield skeleton.GetPrim(), cache.GetSkelQuery(skeleton), list(binding.GetSkinningTargets())
     for prim in stage.below(stage.prim):
-        if prim.IsA(skel.Skeleton) and prim.GetPath() not in seen:
+        if prim.IsA(skel.Skeleton) and prim.GetPath() not in visited:
             yield prim, cache.GetSkelQuery(skel.Skeleton(prim)), []
 
 
@@ -172,8 +172,8 @@ def _skin(skeleton: _Skeleton, mesh: Any, target: Any) -> Skin:
         raise BodyError(words, "export it again")
     back = np.tile(np.eye(4), (len(bind), 1, 1))
     back[:, :3] = [inverse(matrix[:3]) for matrix in bind]
-    found = followed_by(back, column_matrix(target.GetGeomBindTransform()))
-    return Skin(tuple(skeleton.names[number[path]] for path in paths), found, target)
+    bind_inverses = followed_by(back, column_matrix(target.GetGeomBindTransform()))
+    return Skin(tuple(skeleton.names[number[path]] for path in paths), bind_inverses, target)
 
 
 # ---- clips
@@ -182,8 +182,8 @@ def _skin(skeleton: _Skeleton, mesh: Any, target: Any) -> Skin:
 def _clips(body: UsdBody, skeletons: list[_Skeleton], rate: float) -> list[Clip]:
     """The animations that skeletons are bound to, then others of the file that fit one of them."""
     skel = pxr("UsdSkel")
-    found: dict[str, Clip] = {}
-    done: set[str] = set()
+    clips: dict[str, Clip] = {}
+    known_paths: set[str] = set()
     cache = skel.Cache()
     left = limits.CLIP_BYTES
     waiting = [(each.query.GetAnimQuery(), each) for each in skeletons]
@@ -198,14 +198,14 @@ def _clips(body: UsdBody, skeletons: list[_Skeleton], rate: float) -> list[Clip]
                 waiting.append((query, fits))
     for query, skeleton in waiting:
         path = str(query.GetPrim().GetPath()) if query else ""
-        if not path or path in done:
+        if not path or path in known_paths:
             continue
-        done.add(path)
-        clip = _clip(body, query, skeleton, unused(query.GetPrim().GetName(), found), rate, left)
+        known_paths.add(path)
+        clip = _clip(body, query, skeleton, unused(query.GetPrim().GetName(), clips), rate, left)
         if clip is not None:
             left -= clip.translation.nbytes + clip.rotation.nbytes + clip.scale.nbytes + clip.values.nbytes
-            found[clip.name] = clip
-    return list(found.values())
+            clips[clip.name] = clip
+    return list(clips.values())
 
 
 def _clip(body: UsdBody, query: Any, skeleton: Any, name: str, rate: float, left: int) -> Clip | None:
@@ -228,8 +228,8 @@ def _clip(body: UsdBody, query: Any, skeleton: Any, name: str, rate: float, left
     translation, scale = (np.empty((len(times), len(joints), 3)) for _ in range(2))
     rotation = np.empty((len(times), len(joints), 4))
     weights = np.zeros((len(times), len(shares)))
-    for count, moment in enumerate(times):
-        code = pxr("Usd").TimeCode(codes[0] + float(moment) * per_second) if codes else pxr("Usd").TimeCode.Default()
+    for count, time in enumerate(times):
+        code = pxr("Usd").TimeCode(codes[0] + float(time) * per_second) if codes else pxr("Usd").TimeCode.Default()
         if joints:
             parts = query.ComputeJointLocalTransformComponents(code)
             if parts is None or any(len(part) != len(paths) for part in parts):
@@ -238,10 +238,10 @@ def _clip(body: UsdBody, query: Any, skeleton: Any, name: str, rate: float, left
             turns = [(*each.GetImaginary(), each.GetReal()) for each in parts[1]]
             rotation[count] = np.array(turns, np.float64)[columns]
         if shares:
-            given = query.ComputeBlendShapeWeights(code)
-            if given is None or len(given) != len(order):
+            sample_weights = query.ComputeBlendShapeWeights(code)
+            if sample_weights is None or len(sample_weights) != len(order):
                 raise BodyError(f"has an animation `{name}` without a weight for each of its blend shapes", "export it again")
-            weights[count] = np.array(given, np.float64)[shares]
+            weights[count] = np.array(sample_weights, np.float64)[shares]
     if not all(np.isfinite(each).all() for each in (translation, rotation, scale, weights)):
         raise BodyError(f"has an animation `{name}` with a value that is not finite", "export it again")
     return Clip(

@@ -6,7 +6,7 @@ from fractions import Fraction
 
 from antdsl.bodies.agents.definition import BodyError, Definition
 from antdsl.bodies.agents.packed import PARTS, read_packed
-from antdsl.reader.protocol import ProtocolError, Refusal, shown
+from antdsl.reader.protocol import ProtocolError, Refusal, display_text
 from antdsl.scene.geometry.usd import UsdError, open_stage
 from antdsl.scene.paths import Roots
 
@@ -19,7 +19,7 @@ def read_usd(roots: Roots, text: str, prim: str, name: str, rate: float) -> tupl
     stage = open_stage(roots, text, prim, up="y", frames=range(1), fps=Fraction(24))
     try:
         answer = stage.ask("usd-body", {"name": name, "rate": rate})
-        left_out = [shown(sentence) for sentence in answer.texts("left_out", _SENTENCES)]
+        left_out = [display_text(sentence) for sentence in answer.texts("left_out", _SENTENCES)]
         if set(answer.arrays) != set(PARTS):
             raise ProtocolError("a part of the body is missing")
     except UsdError:

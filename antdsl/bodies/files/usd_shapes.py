@@ -17,7 +17,7 @@ from antdsl.scene.geometry.usd.child.stage import OpenStage
 from antdsl.scene.geometry.usd.errors import pxr
 
 Floats = NDArray[np.float64]
-Whole = NDArray[np.int64]
+Integers = NDArray[np.int64]
 _EXPORT = "export it again"
 
 
@@ -68,11 +68,13 @@ def read_usd_shape(body: UsdBody, prim: Any, skin: Skin | None) -> Shape | None:
         body.left_out[f"the mesh `{prim.GetPath()}` has no faces"] = None
         return None
     attributes = {"N": _normals(mesh, prim, time, points, corners), "uv": _uvs(prim, time, len(points), corners)}
-    source, triangles, kept = _split(corners, triangles, attributes)
+    source, triangles, point_attributes = _split(corners, triangles, attributes)
     _counted(body, max(0, len(source) - len(points)))
     name = unused(prim.GetName(), body.shapes)
     materials, material = _materials(body, prim, face)
-    normals, uvs = (None if kept[key] is None else np.asarray(kept[key], np.float32) for key in ("N", "uv"))
+    normals, uvs = (
+        None if point_attributes[key] is None else np.asarray(point_attributes[key], np.float32) for key in ("N", "uv")
+    )
     shape = Shape(
         name, points[source].astype(np.float32), triangles.astype(np.int32), normals, uvs, materials, material,
         {"vertex": source},
@@ -86,20 +88,20 @@ def read_usd_shape(body: UsdBody, prim: Any, skin: Skin | None) -> Shape | None:
     return shape
 
 
-def _counted(body: UsdBody, more: int) -> None:
-    body.points += more
+def _counted(body: UsdBody, new_points: int) -> None:
+    body.points += new_points
     if body.points > limits.BODY_POINTS:
         raise BodyError(f"has more than {limits.BODY_POINTS:,} points, blend shapes among them", code="too-large")
 
 
-def _rows(given: Any, width: int) -> Floats:
-    found = np.array([] if given is None else given, np.float64)
-    if found.size % width:
+def _rows(raw_values: Any, width: int) -> Floats:
+    values = np.array([] if raw_values is None else raw_values, np.float64)
+    if values.size % width:
         raise BodyError(f"has values that are not {width} numbers each", _EXPORT)
-    return found.reshape(-1, width)
+    return values.reshape(-1, width)
 
 
-def _triangles(mesh: Any, prim: Any, time: Any, points: Floats) -> tuple[Whole, Whole, Whole]:
+def _triangles(mesh: Any, prim: Any, time: Any, points: Floats) -> tuple[Integers, Integers, Integers]:
     """The point of each corner of the faces; triangles (n, 3) of corners; and the face of each triangle."""
     counts = np.array(mesh.GetFaceVertexCountsAttr().Get(time) or [], np.int64)
     corners = np.array(mesh.GetFaceVertexIndicesAttr().Get(time) or [], np.int64)
@@ -112,13 +114,13 @@ def _triangles(mesh: Any, prim: Any, time: Any, points: Floats) -> tuple[Whole, 
         cut = triangulate(points, counts, corners)
     except TooManyCorners as why:
         raise BodyError(f"has a mesh `{prim.GetPath()}` that {why}", "cut it into smaller faces", "too-large") from None
-    found, face = cut.corners, cut.polygon
+    triangles, face = cut.corners, cut.polygon
     if str(mesh.GetOrientationAttr().Get(time)) == "leftHanded":
-        found = found[:, ::-1]
-    return corners, found, face
+        triangles = triangles[:, ::-1]
+    return corners, triangles, face
 
 
-def _normals(mesh: Any, prim: Any, time: Any, points: Floats, corners: Whole) -> Floats | None:
+def _normals(mesh: Any, prim: Any, time: Any, points: Floats, corners: Integers) -> Floats | None:
     """A normal for each corner."""
     primvar = pxr("UsdGeom").PrimvarsAPI(prim).GetPrimvar("normals")
     if primvar and primvar.HasValue():
@@ -126,18 +128,18 @@ def _normals(mesh: Any, prim: Any, time: Any, points: Floats, corners: Whole) ->
     return _of_corners(mesh.GetNormalsAttr().Get(time), str(mesh.GetNormalsInterpolation()), 3, len(points), corners)
 
 
-def _uvs(prim: Any, time: Any, points: int, corners: Whole) -> Floats | None:
+def _uvs(prim: Any, time: Any, points: int, corners: Integers) -> Floats | None:
     """Return texture coordinates for each corner: the primvar `st`, else the first that exists."""
-    given = pxr("UsdGeom").PrimvarsAPI(prim).GetPrimvarsWithValues()
-    known = [each for each in given if str(each.GetTypeName()) in ("texCoord2f[]", "texCoord2d[]", "texCoord2h[]", "float2[]")]
+    primvars = pxr("UsdGeom").PrimvarsAPI(prim).GetPrimvarsWithValues()
+    known = [each for each in primvars if str(each.GetTypeName()) in ("texCoord2f[]", "texCoord2d[]", "texCoord2h[]", "float2[]")]
     known.sort(key=lambda each: each.GetPrimvarName() != "st")
     if not known:
         return None
     return _of_corners(known[0].ComputeFlattened(time), str(known[0].GetInterpolation()), 2, points, corners)
 
 
-def _of_corners(given: Any, interpolation: str, width: int, points: int, corners: Whole) -> Floats | None:
-    values = _rows(given, width)
+def _of_corners(raw_values: Any, interpolation: str, width: int, points: int, corners: Integers) -> Floats | None:
+    values = _rows(raw_values, width)
     if not len(values) or not np.isfinite(values).all():
         return None
     if interpolation in ("vertex", "varying") and len(values) == points:
@@ -148,33 +150,33 @@ def _of_corners(given: Any, interpolation: str, width: int, points: int, corners
 
 
 def _split(
-    corners: Whole, triangles: Whole, attributes: dict[str, Floats | None]
-) -> tuple[Whole, Whole, dict[str, Floats | None]]:
+    corners: Integers, triangles: Integers, attributes: dict[str, Floats | None]
+) -> tuple[Integers, Integers, dict[str, Floats | None]]:
     """Return the file's point of each point of the shape, triangles of the shape's points, and attributes of the shape's
     points."""
     columns = [corners[:, None].astype(np.float64), *(each for each in attributes.values() if each is not None)]
     rows = np.concatenate(columns, axis=1)
     _, first, number = np.unique(rows, axis=0, return_index=True, return_inverse=True)
-    kept = {key: None if each is None else each[first] for key, each in attributes.items()}
-    return corners[first], number.reshape(-1)[triangles], kept
+    point_attributes = {key: None if each is None else each[first] for key, each in attributes.items()}
+    return corners[first], number.reshape(-1)[triangles], point_attributes
 
 
-def _capture(body: UsdBody, prim: Any, skin: Skin, points: int, source: Whole, time: Any) -> Capture:
-    found = skin.query.ComputeVaryingJointInfluences(points, time)
+def _capture(body: UsdBody, prim: Any, skin: Skin, points: int, source: Integers, time: Any) -> Capture:
+    influences = skin.query.ComputeVaryingJointInfluences(points, time)
     each = int(skin.query.GetNumInfluencesPerComponent())
-    if not found or each < 1 or each > limits.CAPTURED or any(len(part) != points * each for part in found):
+    if not influences or each < 1 or each > limits.CAPTURED or any(len(part) != points * each for part in influences):
         raise BodyError(f"has a mesh `{prim.GetPath()}` without joints and weights for each of its points", _EXPORT)
-    joints = np.array(found[0], np.int64).reshape(points, each)
-    weights = np.array(found[1], np.float64).reshape(points, each)
+    joints = np.array(influences[0], np.int64).reshape(points, each)
+    weights = np.array(influences[1], np.float64).reshape(points, each)
     if not np.isfinite(weights).all():
         raise BodyError(f"has a mesh `{prim.GetPath()}` with a weight that is not finite", _EXPORT)
-    whole, shares, lone = captured(joints, np.maximum(weights, 0.0), len(skin.names))
+    point_joints, shares, lone = captured(joints, np.maximum(weights, 0.0), len(skin.names))
     if lone:
         body.left_out[f"{lone:,} points of `{prim.GetPath()}` follow no joint, and were given to `{skin.names[0]}`"] = None
-    return Capture(skin.names, whole[source], shares[source], skin.inverse)
+    return Capture(skin.names, point_joints[source], shares[source], skin.inverse)
 
 
-def _blend(body: UsdBody, shape: Shape, prim: Any, points: Floats, source: Whole) -> Blend | None:
+def _blend(body: UsdBody, shape: Shape, prim: Any, points: Floats, source: Integers) -> Blend | None:
     """The blend shapes of a mesh as shapes of the library; each is weighed by the channel of its name."""
     skel = pxr("UsdSkel")
     binding = skel.BindingAPI(prim)
@@ -184,15 +186,15 @@ def _blend(body: UsdBody, shape: Shape, prim: Any, points: Floats, source: Whole
         return None
     names = []
     for token, path in zip(tokens, targets, strict=True):
-        found = skel.BlendShape(prim.GetStage().GetPrimAtPath(path))
-        if not found:
+        blend_shape = skel.BlendShape(prim.GetStage().GetPrimAtPath(path))
+        if not blend_shape:
             raise BodyError(f"has a mesh `{prim.GetPath()}` that names a blend shape `{path}` which is not there", _EXPORT)
-        given = found.GetPointIndicesAttr().Get()
-        rows = np.arange(len(points)) if given is None or not len(given) else np.array(given, np.int64)
+        indices = blend_shape.GetPointIndicesAttr().Get()
+        rows = np.arange(len(points)) if indices is None or not len(indices) else np.array(indices, np.int64)
         name = _moved(body, shape, unused(f"{shape.name}.{token}", body.shapes), source, points, rows,
-                      found.GetOffsetsAttr().Get(), found.GetNormalOffsetsAttr().Get())  # fmt: skip
+                      blend_shape.GetOffsetsAttr().Get(), blend_shape.GetNormalOffsetsAttr().Get())  # fmt: skip
         inner: list[tuple[float, str]] = []
-        for each in found.GetInbetweens():
+        for each in blend_shape.GetInbetweens():
             weight = each.GetWeight()
             if weight is None or not np.isfinite(weight) or weight in (0.0, 1.0):
                 body.left_out[f"an in-between of `{path}` has no weight, or one at which a whole shape applies"] = None
@@ -210,15 +212,17 @@ def _blend(body: UsdBody, shape: Shape, prim: Any, points: Floats, source: Whole
     return Blend(tuple(names), tuple(tokens), ("P", "N") if shape.normals is not None else ("P",))
 
 
-def _moved(body: UsdBody, shape: Shape, name: str, source: Whole, points: Floats, rows: Whole, offsets: Any, turned: Any) -> str:
+def _moved(
+    body: UsdBody, shape: Shape, name: str, source: Integers, points: Floats, rows: Integers, offsets: Any, turned: Any
+) -> str:
     """Add a copy of a shape with some points moved by offsets, and return its name."""
     _counted(body, len(source))
     moves = _rows(offsets, 3)
     right = len(moves) == len(rows) and (not len(rows) or (rows.min() >= 0 and rows.max() < len(points)))
     if not right or not np.isfinite(moves).all():
         raise BodyError(f"has a blend shape `{name}` with offsets that do not fit its mesh", _EXPORT)
-    whole = np.zeros_like(points)
-    whole[rows] = moves
+    displacements = np.zeros_like(points)
+    displacements[rows] = moves
     normals = shape.normals
     turns = _rows(turned, 3)
     if normals is not None and len(turns) == len(rows) and np.isfinite(turns).all():
@@ -226,7 +230,12 @@ def _moved(body: UsdBody, shape: Shape, name: str, source: Whole, points: Floats
         of_points[rows] = turns
         normals = (normals + of_points[source]).astype(np.float32)
     body.shapes[name] = Shape(
-        name, (points + whole)[source].astype(np.float32), shape.faces, normals, shape.uvs, attributes=dict(shape.attributes)
+        name,
+        (points + displacements)[source].astype(np.float32),
+        shape.faces,
+        normals,
+        shape.uvs,
+        attributes=dict(shape.attributes),
     )
     return name
 
@@ -234,7 +243,7 @@ def _moved(body: UsdBody, shape: Shape, name: str, source: Whole, points: Floats
 # ---- colours
 
 
-def _materials(body: UsdBody, prim: Any, face: Whole) -> tuple[tuple[str, ...], NDArray[np.int32] | None]:
+def _materials(body: UsdBody, prim: Any, face: Integers) -> tuple[tuple[str, ...], NDArray[np.int32] | None]:
     """Names of a mesh's materials, and the number of each triangle's; their colours go to the definition."""
     names: list[str] = []
 
@@ -245,12 +254,12 @@ def _materials(body: UsdBody, prim: Any, face: Whole) -> tuple[tuple[str, ...], 
             names.append(name)
         return names.index(name)
 
-    whole = _material(body, prim) or _display(prim)
+    mesh_material = _material(body, prim) or _display(prim)
     subsets = pxr("UsdShade").MaterialBindingAPI(prim).GetMaterialBindSubsets()
-    if whole is None and not subsets:
+    if mesh_material is None and not subsets:
         return (), None
     most = int(face.max()) + 1
-    of_face = np.full(most, number(whole or ("default", (1.0, 1.0, 1.0))), np.int32)
+    of_face = np.full(most, number(mesh_material or ("default", (1.0, 1.0, 1.0))), np.int32)
     for subset in subsets:
         bound = _material(body, subset.GetPrim())
         if bound is not None:
@@ -265,9 +274,9 @@ def _material(body: UsdBody, prim: Any) -> tuple[str, tuple[float, float, float]
     if not material:
         return None
     shader = material.ComputeSurfaceSource()[0]
-    given = shader.GetInput("diffuseColor") if shader else None
-    value = given.Get() if given else None
-    if given and given.HasConnectedSource():
+    colour_input = shader.GetInput("diffuseColor") if shader else None
+    value = colour_input.Get() if colour_input else None
+    if colour_input and colour_input.HasConnectedSource():
         body.left_out[f"the texture of `{material.GetPath()}` is not read"] = None
     colour = (1.0, 1.0, 1.0) if value is None or len(value) != 3 else tuple(float(min(max(c, 0.0), 1.0)) for c in value)
     return material.GetPrim().GetName(), (colour[0], colour[1], colour[2])

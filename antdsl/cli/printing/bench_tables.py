@@ -8,7 +8,7 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from antdsl.bench.tables import HEADS, Result, about, between, phases, told, whole_step
+from antdsl.bench.tables import COLUMNS, Result, between, describe_result, list_messages, phases, whole_step
 from antdsl.cli.printing.messages import print_result
 
 
@@ -16,9 +16,9 @@ def show(result: Result) -> None:
     """Print it."""
     console = Console(highlight=False, soft_wrap=True)
     with console.capture() as printed:
-        for line in (about(result), *told(result)):
+        for line in (describe_result(result), *list_messages(result)):
             console.print(Text(line))
-        names, *rows = [list(row) for row in zip(HEADS, *whole_step(result), strict=True)]
+        names, *rows = [list(row) for row in zip(COLUMNS, *whole_step(result), strict=True)]
         console.print(_table(names, [row for row in rows if any(row[1:])]))
         for line in between(result):
             console.print(Text(line))
@@ -26,9 +26,9 @@ def show(result: Result) -> None:
     print_result(printed.get())
 
 
-def _table(heads: Sequence[str], rows: Sequence[Sequence[str]]) -> Table:
+def _table(columns: Sequence[str], rows: Sequence[Sequence[str]]) -> Table:
     table = Table(box=None, pad_edge=False, padding=(0, 2, 0, 0), header_style="")
-    for number, head in enumerate(heads):
+    for number, head in enumerate(columns):
         table.add_column(head, justify="left" if number == 0 else "right", no_wrap=True)
     for row in rows:
         table.add_row(*map(Text, row))

@@ -8,11 +8,11 @@ from typing import Any
 
 import numpy as np
 
-from antdsl.bodies.agents.definition import Clip, Definition, Gait, Layer, Shape, spoken_names
+from antdsl.bodies.agents.definition import Clip, Definition, Gait, Layer, Shape, language_names
 from antdsl.bodies.files.definition_parts import plain_metadata
 from antdsl.diagnostics import Report
 from antdsl.diagnostics.places import safe_line
-from antdsl.diagnostics.render import render, shown
+from antdsl.diagnostics.render import render, visible_diagnostics
 from antdsl.scene.model import UNIT_MM
 
 _AXES = {sign + letter: np.eye(3)[axis] * (1 if sign == "+" else -1) for axis, letter in enumerate("xyz") for sign in "+-"}
@@ -28,7 +28,7 @@ def body_lines(body: Definition) -> Iterator[str]:
         at = f" of {each.transform}" if each.transform else ""
         yield safe_line(f"channel      {each.name}{at}: {each.default:g} where no clip says otherwise")
     for shape in body.shapes.values():
-        yield safe_line(f"shape        {shape.name}: {', '.join(_about(shape))}")
+        yield safe_line(f"shape        {shape.name}: {', '.join(_describe_shape(shape))}")
     for layer in body.layers.values():
         yield safe_line(f"layer        {layer.name}: {_bound(layer)}")
     for clip in body.clips.values():
@@ -43,26 +43,26 @@ def body_lines(body: Definition) -> Iterator[str]:
         yield safe_line(f"gait         {gait.name}: {words}, lift {gait.lift:.4g} {unit}, phases {phases}")
     for group in body.groups.values():
         members = [name if weight == 1 else f"{name} {weight:g}" for name, weight in group.members]
-        yield safe_line(f"group        {group.name}: {_some([*members, *group.channels])}")
+        yield safe_line(f"group        {group.name}: {_shorten_list([*members, *group.channels])}")
     for name, colour in body.materials.items():
         yield safe_line(f"material     {name}: {' '.join(f'{part:.3g}' for part in colour)}")
     for name, (low, high) in body.variation.scales.items():
         yield safe_line(f"varies       {name}: {low:g} to {high:g} times as large")
     for name, colours in body.variation.materials.items():
         yield safe_line(f"varies       {name}: {' to '.join(' '.join(f'{part:.3g}' for part in colour) for colour in colours)}")
-    yield from _spoken_lines(body)
+    yield from _language_name_lines(body)
     for key, value in plain_metadata(body.metadata).items():
         yield safe_line(f"metadata     {key}: {_short(json.dumps(value, ensure_ascii=False))}")
 
 
-def _spoken_lines(body: Definition) -> Iterator[str]:
+def _language_name_lines(body: Definition) -> Iterator[str]:
     """Yield the spelling, in programs and scenes, of names that the language cannot write unchanged."""
     named: list[tuple[str, Iterable[str]]] = [
         ("clip", body.clips), ("layer", body.layers), ("group", body.groups), ("channel", (c.name for c in body.rig.channels)),
         *((f"mark of {clip.name}", clip.marks) for clip in body.clips.values()),
     ]  # fmt: skip
     for what, names in named:
-        for name, written in spoken_names(names).items():
+        for name, written in language_names(names).items():
             if name != written:
                 yield safe_line(f"written      {what} {name}: {written}")
 
@@ -82,11 +82,11 @@ def unit_of(body: Definition) -> str:
 
 def axis(vector: Iterable[float]) -> str:
     """An axis by its name, such as `+z`."""
-    found = np.array(tuple(vector))
-    return next(name for name, each in _AXES.items() if (each == found).all())
+    array = np.array(tuple(vector))
+    return next(name for name, each in _AXES.items() if (each == array).all())
 
 
-def _about(shape: Shape) -> list[str]:
+def _describe_shape(shape: Shape) -> list[str]:
     words = [f"{len(shape.points):,} points", f"{len(shape.faces):,} triangles"]
     if shape.capture is not None:
         words.append(f"follows {len(shape.capture.names)} joints")
@@ -94,14 +94,14 @@ def _about(shape: Shape) -> list[str]:
         words.append(f"blends with {len(shape.blend.shapes)}")
     if shape.between is not None:
         words.append(f"{len(shape.between.shapes)} in-between")
-    words += [word for word, given in (("no normals", shape.normals), ("no uvs", shape.uvs)) if given is None]
+    words += [word for word, values in (("no normals", shape.normals), ("no uvs", shape.uvs)) if values is None]
     return words
 
 
 def _bound(layer: Layer) -> str:
     static = [f"{each.shape} at {each.transform}" for each in layer.static]
     deforming = [f"{each.shape} by {each.deformer}" for each in layer.deforming]
-    return _some([*deforming, *static])
+    return _shorten_list([*deforming, *static])
 
 
 def _played(body: Definition, clip: Clip) -> list[str]:
@@ -111,7 +111,7 @@ def _played(body: Definition, clip: Clip) -> list[str]:
     words.append("loops" if clip.loop else "plays once")
     words.append(f"stride {clip.stride:.4g} {unit_of(body)}" if clip.stride else "stays in place")
     words += [] if clip.feet else ["feet free"]
-    words += [f"{name} at {moment:.3g} s" for name, moment in clip.marks.items()]
+    words += [f"{name} at {mark_time:.3g} s" for name, mark_time in clip.marks.items()]
     return [*words, "does not close"] if clip.loop and not _closes(body, clip) else words
 
 
@@ -120,14 +120,14 @@ def _closes(body: Definition, clip: Clip) -> bool:
     stride is subtracted."""
     ends = ((part[0], part[-1]) for part in (clip.translation, clip.rotation, clip.scale) if len(part))
     near = [1e-3 * body.length + clip.stride, 1e-3, 1e-3]
-    apart = [np.abs(a - b).max(initial=0.0) for a, b in ends]
-    if len(apart) == 3:
-        apart[1] = min(apart[1], np.abs(clip.rotation[0] + clip.rotation[-1]).max(initial=0.0))
+    gaps = [np.abs(a - b).max(initial=0.0) for a, b in ends]
+    if len(gaps) == 3:
+        gaps[1] = min(gaps[1], np.abs(clip.rotation[0] + clip.rotation[-1]).max(initial=0.0))
     values = np.abs(clip.values[0] - clip.values[-1]).max(initial=0.0) if len(clip.values) else 0.0
-    return bool(values <= 1e-3 and all(a <= most for a, most in zip(apart, near, strict=False)))
+    return bool(values <= 1e-3 and all(a <= most for a, most in zip(gaps, near, strict=False)))
 
 
-def _some(words: list[str]) -> str:
+def _shorten_list(words: list[str]) -> str:
     return ", ".join(words[:8]) + (f" and {len(words) - 8} more" if len(words) > 8 else "") if words else "empty"
 
 
@@ -137,7 +137,7 @@ def _short(text: str) -> str:
 
 def body_document(body: Definition | None, report: Report) -> str:
     """Return the same as JSON: `body` is null if there is none; `findings` has the form of `antdsl check --format json`."""
-    findings = json.loads(render(report, "json")) if shown(report) else None
+    findings = json.loads(render(report, "json")) if visible_diagnostics(report) else None
     content: dict[str, Any] = {"format_version": "1.0", "valid": report.ok, "body": None, "findings": findings}
     if body is not None:
         content["body"] = {
@@ -158,7 +158,7 @@ def body_document(body: Definition | None, report: Report) -> str:
             },
             "variation": {
                 "scale": {name: list(ends) for name, ends in body.variation.scales.items()},
-                "materials": {name: [list(colour) for colour in given] for name, given in body.variation.materials.items()},
+                "materials": {name: [list(colour) for colour in colours] for name, colours in body.variation.materials.items()},
             },
             "materials": {name: list(colour) for name, colour in body.materials.items()},
             "metadata": plain_metadata(body.metadata),

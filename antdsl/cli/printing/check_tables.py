@@ -82,18 +82,18 @@ def cost_table(programs: Programs) -> Iterator[str]:
 
 def _states(program: Program, species: Species) -> Iterator[tuple[str, ...]]:
     for part in costs(program, species):
-        words = "; ".join(_asked(part))
+        words = "; ".join(_list_uses(part))
         yield part.name, f"{part.weight:,.0f}", f"{part.sums:,}", words or "-"
 
 
-def _asked(part: Part) -> Iterator[str]:
+def _list_uses(part: Part) -> Iterator[str]:
     for kind in ("senses", "fields", "draws"):
         words = [use.words for use in part.uses if use.kind == kind]
         if words:
             yield f"{kind}: {', '.join(words)}"
 
 
-_KEPT = {"attribute": "attributes", "pair": "values per pair", "memory": "memory"}
+_ROLE_WORDS = {"attribute": "attributes", "pair": "values per pair", "memory": "memory"}
 
 
 def _memory(program: Program) -> dict[str, str]:
@@ -104,13 +104,13 @@ def _memory(program: Program) -> dict[str, str]:
     lowered, report = plan.lower(program)
     if not report.ok:
         return {}
-    found = {}
+    memory_words = {}
     for name, species in passes.optimise(lowered).species.items():
         size = memory(species)
-        kept = [f"{size[role]} {words}" for role, words in _KEPT.items() if size[role] or role != "pair"]
-        of_all = sum(size[role] for role in _KEPT)
-        found[name] = f", {of_all} bytes an agent ({', '.join(kept)}), {size['temp']} more in a step"
-    return found
+        role_sizes = [f"{size[role]} {words}" for role, words in _ROLE_WORDS.items() if size[role] or role != "pair"]
+        of_all = sum(size[role] for role in _ROLE_WORDS)
+        memory_words[name] = f", {of_all} bytes an agent ({', '.join(role_sizes)}), {size['temp']} more in a step"
+    return memory_words
 
 
 # --- imports ---------------------------------------------------------------------------------------------------------
@@ -126,8 +126,8 @@ def import_table(files: Sequence[Path], reports: Mapping[Path, Report], choices:
         if file.suffix == ".ant":
             continue
         imports, units = mesh_imports(file, choices)
-        for name, found in imports.items():
-            first, *rest = import_lines(found, units)
+        for name, mesh_import in imports.items():
+            first, *rest = import_lines(mesh_import, units)
             yield f"{file}: {name}: {first}"
             yield from (f"  {line}" for line in rest)
         if not imports and not reports[file].ok:

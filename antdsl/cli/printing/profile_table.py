@@ -22,9 +22,9 @@ _LEAST = 12  # letters of a text that are shown, however narrow the terminal
 def show(profile: Profile, *, lines: bool) -> None:
     """Print a profile. `lines` is false where the backend measures phases only."""
     console = Console(highlight=False, soft_wrap=True)
-    with console.capture() as told:
+    with console.capture() as capture:
         _tell(console, profile, lines)
-    say(told.get(), newline=False)
+    say(capture.get(), newline=False)
 
 
 def _tell(console: Console, profile: Profile, lines: bool) -> None:
@@ -34,16 +34,16 @@ def _tell(console: Console, profile: Profile, lines: bool) -> None:
     frames = "1 frame" if profile.frames == 1 else f"{profile.frames:,} frames"
     worked = sum(profile.worked.values())
     console.print(f"{profile.total:.2f} ms a frame, {worked:.2f} ms of processors, over {frames}{_by(profile)}")
-    whole = profile.total
+    total = profile.total
     phases = sorted(profile.phases.items(), key=lambda each: -each[1])
-    _table(console, "phase", ((name, "", ms) for name, ms in phases), whole, profile.worked)
+    _table(console, "phase", ((name, "", ms) for name, ms in phases), total, profile.worked)
     if not lines:
         console.print("layers and lines are measured on the backends `native` and `numpy`")
         return
     layers = sorted(profile.layers, key=lambda each: -each.ms)
-    _table(console, "layer", ((each.span.text, each.species, each.ms) for each in layers), whole)
+    _table(console, "layer", ((each.span.text, each.species, each.ms) for each in layers), total)
     dearest = profile.lines[:MOST]
-    _table(console, "line", ((each.text, f"{_short(each.file)}:{each.line}", each.ms) for each in dearest), whole)
+    _table(console, "line", ((each.text, f"{_short(each.file)}:{each.line}", each.ms) for each in dearest), total)
 
 
 def _by(profile: Profile) -> str:
@@ -59,7 +59,7 @@ def _short(file: str) -> str:
 
 
 def _table(
-    console: Console, what: str, rows: Iterable[tuple[str, str, float]], whole: float, worked: Mapping[str, float] | None = None
+    console: Console, what: str, rows: Iterable[tuple[str, str, float]], total: float, worked: Mapping[str, float] | None = None
 ) -> None:
     """Print the rows of one kind: milliseconds, CPU milliseconds where known, and the share of the whole frame."""
     rows = list(rows)
@@ -72,12 +72,12 @@ def _table(
         table.add_column(title, justify="right", no_wrap=True, width=width)
     if place:
         table.add_column("of" if what == "layer" else "in", no_wrap=True, width=place)
-    room = console.width - sum(width + 2 for _, width in figures) - (place + 2 if place else 0)
-    table.add_column(what, no_wrap=True, max_width=max(room, _LEAST))
+    text_width = console.width - sum(width + 2 for _, width in figures) - (place + 2 if place else 0)
+    table.add_column(what, no_wrap=True, max_width=max(text_width, _LEAST))
     for text, where, ms in rows:
-        told = [f"{ms:.2f}", *([f"{worked.get(text, 0.0):.2f}"] if worked is not None else [])]
-        told.append(f"{100 * ms / max(whole, 1e-12):.0f}")
-        table.add_row(*map(Text, [*told, *([_cut(where, place)] if place else []), _cut(text, max(room, _LEAST))]))
+        cells = [f"{ms:.2f}", *([f"{worked.get(text, 0.0):.2f}"] if worked is not None else [])]
+        cells.append(f"{100 * ms / max(total, 1e-12):.0f}")
+        table.add_row(*map(Text, [*cells, *([_cut(where, place)] if place else []), _cut(text, max(text_width, _LEAST))]))
     console.print()
     console.print(table)
 

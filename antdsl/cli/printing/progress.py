@@ -160,9 +160,9 @@ def _tell_end(recording: Recording) -> None:
     spent = {**recording.seconds, **recording.world.timings}
     set_up = spent.pop("bind", 0.0) + spent.pop("first_step", 0.0)
     spent.pop("preroll", None)
-    parts, made, behind = (_each(each, recording.steps) for each in (spent, recording.made, recording.behind))
+    parts, hand_over_parts, behind = (_each(each, recording.steps) for each in (spent, recording.frame_seconds, recording.behind))
     say(f"{len(recording.world):,} agents; set up in {set_up:.1f} s; milliseconds a frame: {parts or 'none'}")
-    say(f"of `hand_over`: {made or 'none'}; meanwhile, behind the simulation: {behind or 'none'}")
+    say(f"of `hand_over`: {hand_over_parts or 'none'}; meanwhile, behind the simulation: {behind or 'none'}")
     if recording.world.detail is not None:
         levels = recording.world.detail.summary(recording.world)["mean"]
         say(f"level of detail, agents on the average: {', '.join(f'{name} {count:,.0f}' for name, count in levels.items())}")

@@ -21,7 +21,7 @@ EDGE = 1e-9  # of a triangle's weights: how far beside it a way still meets it, 
 FARTHEST = 1e6  # times its length that a way is made longer, at most
 LEVEL = 1e-12  # sine between a way and a plane, below which it lies along it and meets nothing
 _FINE = 1 << 21  # places along an axis that the order tells apart
-_DEEP = 128  # boxes that wait to be opened: more than trees of 2**40 triangles ever need
+_MOST_WAITING = 128  # boxes that wait to be opened: more than trees of 2**40 triangles ever need
 
 
 class Tree(NamedTuple):
@@ -35,7 +35,7 @@ class Tree(NamedTuple):
 class FaceList(NamedTuple):
     """Buffer for face numbers, from an index of an array on."""
 
-    places: Array1[I64]
+    numbers: Array1[I64]
     begin: I64
 
 
@@ -79,8 +79,8 @@ class Boxes:
             since //= WIDE
             ends = self.bounds[self.first[k - 1] + WIDE * since : self.first[k]]
             ends = np.concatenate([ends, np.repeat(ends[-1:], -len(ends) % WIDE, axis=0)]).reshape(-1, WIDE, 6)
-            here = slice(self.first[k] + since, self.first[k + 1])
-            self.bounds[here, :3], self.bounds[here, 3:] = ends[:, :, :3].min(axis=1), ends[:, :, 3:].max(axis=1)
+            rows = slice(self.first[k] + since, self.first[k + 1])
+            self.bounds[rows, :3], self.bounds[rows, 3:] = ends[:, :, :3].min(axis=1), ends[:, :, 3:].max(axis=1)
 
     def tree(self) -> Tree:
         """Its arrays."""
@@ -88,33 +88,33 @@ class Boxes:
 
     def near(self, low: Floats, high: Floats) -> tuple[Index, Index]:
         """Return pairs of a query box (3, k) and a triangle with a box that overlaps it."""
-        asked, node = np.arange(low.shape[1]), np.zeros(low.shape[1], np.int64)
+        box_numbers, node = np.arange(low.shape[1]), np.zeros(low.shape[1], np.int64)
         if not self.order.size:
-            return asked[:0], node[:0]
+            return box_numbers[:0], node[:0]
         for k in range(len(self.first) - 2, -1, -1):
             bounds = self.bounds.take(self.first[k] + node, axis=0).T
-            over = (bounds[0] <= high[0].take(asked)) & (bounds[3] >= low[0].take(asked))
+            over = (bounds[0] <= high[0].take(box_numbers)) & (bounds[3] >= low[0].take(box_numbers))
             for axis in (1, 2):
-                over &= (bounds[axis] <= high[axis].take(asked)) & (bounds[3 + axis] >= low[axis].take(asked))
-            asked, node = asked[over], node[over]
+                over &= (bounds[axis] <= high[axis].take(box_numbers)) & (bounds[3 + axis] >= low[axis].take(box_numbers))
+            box_numbers, node = box_numbers[over], node[over]
             if k:
                 node = (WIDE * node[:, None] + np.arange(WIDE)).ravel()
                 real = node < self.first[k] - self.first[k - 1]
-                asked, node = np.repeat(asked, WIDE)[real], node[real]
-        return asked, self.order.take(node)
+                box_numbers, node = np.repeat(box_numbers, WIDE)[real], node[real]
+        return box_numbers, self.order.take(node)
 
 
 @called
-def gather(pieces: Array1[I32], boxes: Tree, one: Vec3, two: Vec3, size: F64, face: I64, piece: I64, found: FaceList) -> I64:
-    """Write the triangles with boxes that overlap a query box into `found`, an array and a start index. Return how many. The
+def gather(pieces: Array1[I32], boxes: Tree, one: Vec3, two: Vec3, size: F64, face: I64, piece: I64, face_list: FaceList) -> I64:
+    """Write the triangles with boxes that overlap a query box into `face_list`, an array and a start index. Return how many. The
     query box is that around the points `one` and `two`, `size` mm larger. Triangles are positions in the order of all triangles,
     without `face` and those of `piece`. `boxes` are the arrays of `Boxes`."""
     order, first, bounds = boxes
-    places, behind = found
+    numbers, behind = face_list
     count, waiting = 0, 0
     low_x, low_y, low_z = min(one[0], two[0]) - size, min(one[1], two[1]) - size, min(one[2], two[2]) - size
     high_x, high_y, high_z = max(one[0], two[0]) + size, max(one[1], two[1]) + size, max(one[2], two[2]) + size
-    levels, nodes = scratch(_DEEP, I64), scratch(_DEEP, I64)
+    levels, nodes = scratch(_MOST_WAITING, I64), scratch(_MOST_WAITING, I64)
     if order.size:
         levels[0], nodes[0], waiting = first.size - 2, 0, 1
     while waiting:
@@ -122,7 +122,7 @@ def gather(pieces: Array1[I32], boxes: Tree, one: Vec3, two: Vec3, size: F64, fa
         level, node = levels[waiting], nodes[waiting]
         for child in range(node, min(node + WIDE, first[level + 1] - first[level])):
             b = first[level] + child
-            if _apart(bounds, b, low_x, low_y, low_z, high_x, high_y, high_z):
+            if _is_disjoint(bounds, b, low_x, low_y, low_z, high_x, high_y, high_z):
                 continue
             if level > 0:
                 levels[waiting], nodes[waiting] = level - 1, WIDE * child
@@ -130,20 +130,20 @@ def gather(pieces: Array1[I32], boxes: Tree, one: Vec3, two: Vec3, size: F64, fa
                 for line in (0, 8, 16):
                     fetch_ahead(bounds, 6 * (first[level - 1] + WIDE * child) + line)
             elif order[child] != face and pieces[order[child]] != piece:
-                places[behind + count] = child
+                numbers[behind + count] = child
                 count += 1
     return count
 
 
 @called
-def first_of(table: Array1[F64], boxes: Tree, found: FaceList, count: I64, origin: Vec3, step: Vec3, fine: F64) -> BoxHit:
-    """Return the first triangle hit of the first `count` in `found` (-1 for none), the part of the way before it, and its weights
-    there. The way is extended by `fine` mm. `table` is `packed`.
+def first_of(table: Array1[F64], boxes: Tree, face_list: FaceList, count: I64, origin: Vec3, step: Vec3, fine: F64) -> BoxHit:
+    """Return the first triangle hit of the first `count` in `face_list` (-1 for none), the part of the way before it, and its
+    weights there. The way is extended by `fine` mm. `table` is `packed`.
 
     A triangle is hit if its box overlaps that of the way, from both sides, but not by a way in its plane. Of two hit at once, the
     first by number counts (Möller, Trumbore, Fast, Minimum Storage Ray/Triangle Intersection, 1997, p. 22-24)."""
     order, _, bounds = boxes
-    places, behind = found
+    numbers, behind = face_list
     face, part, b1, b2 = -1, np.inf, 0.0, 0.0
     if count == 0:
         return BoxHit(face, part, (b1, b2))
@@ -153,8 +153,8 @@ def first_of(table: Array1[F64], boxes: Tree, found: FaceList, count: I64, origi
     low_x, low_y, low_z = min(origin[0], end_x), min(origin[1], end_y), min(origin[2], end_z)
     high_x, high_y, high_z = max(origin[0], end_x), max(origin[1], end_y), max(origin[2], end_z)
     for k in range(count):
-        b = places[behind + k]
-        if _apart(bounds, b, low_x, low_y, low_z, high_x, high_y, high_z):
+        b = numbers[behind + k]
+        if _is_disjoint(bounds, b, low_x, low_y, low_z, high_x, high_y, high_z):
             continue
         f = order[b]
         row = WIDTH * f
@@ -172,18 +172,18 @@ def first_of(table: Array1[F64], boxes: Tree, found: FaceList, count: I64, origi
 
 
 @inlined
-def _apart(bounds: Array2[F64], b: I64, low_x: F64, low_y: F64, low_z: F64, high_x: F64, high_y: F64, high_z: F64) -> BOOL:
+def _is_disjoint(bounds: Array2[F64], b: I64, low_x: F64, low_y: F64, low_z: F64, high_x: F64, high_y: F64, high_z: F64) -> BOOL:
     """Return whether a box does not overlap another one. All axes are tested at once, as both results are equally likely."""
     x = (bounds[b, 0] > high_x) | (bounds[b, 3] < low_x)
     y = (bounds[b, 1] > high_y) | (bounds[b, 4] < low_y)
     return x | y | (bounds[b, 2] > high_z) | (bounds[b, 5] < low_z)
 
 
-def _morton(places: Floats) -> NDArray[np.uint64]:
+def _morton(positions: Floats) -> NDArray[np.uint64]:
     """Return positions [n,3] numbered along a curve that preserves locality."""
-    if not len(places):
+    if not len(positions):
         return np.empty(0, np.uint64)
-    low = places.min(axis=0)
-    size = max(float((places.max(axis=0) - low).max()), 1e-300)
-    cell = np.minimum((places - low) / size * _FINE, _FINE - 1).astype(np.uint64)
+    low = positions.min(axis=0)
+    size = max(float((positions.max(axis=0) - low).max()), 1e-300)
+    cell = np.minimum((positions - low) / size * _FINE, _FINE - 1).astype(np.uint64)
     return interleaved(cell)

@@ -27,24 +27,24 @@ _NOISE = 1e-4  # of a ground's extent: distances in float32 err by less
 _ALONG = 192  # cells along the longest side of a ground
 _SMOOTH = 0.7071067811865476  # cosine of the turn up to which normals are smoothed over an edge
 _NONE = np.iinfo(np.int32).max
-_ASKED = 512  # places for which a thread pays
+_PLACES_PER_THREAD = 512  # places for which a thread pays
 _EXPONENT = 1022  # more than the power of two below which a number of these bits is
 
 
 def inner_creases(table: Topology, corners: Floats) -> Index:
     """Return half-edges at which, seen from one side of a face, the face beyond rises more steeply than a smooth edge."""
-    found = np.zeros(table.link.shape[1], np.bool_)
+    is_crease = np.zeros(table.link.shape[1], np.bool_)
     for side, sign in ((0, 1.0), (1, -1.0)):
         half = np.flatnonzero(table.link[side] != NO_LINK)
-        here, link = half // 3, table.link[side, half]
-        there, k, flip = link >> 3, (link >> 1) & 3, link & 1
-        up = table.normal.take(here, axis=1) * sign
-        beyond = table.normal.take(there, axis=1) * np.where(flip, -sign, sign)
-        far = corners[there, k].T - corners[here, (half % 3 + 1) % 3].T
-        rises = up[0] * far[0] + up[1] * far[1] + up[2] * far[2] > 0
+        face, link = half // 3, table.link[side, half]
+        other_face, k, flip = link >> 3, (link >> 1) & 3, link & 1
+        up = table.normal.take(face, axis=1) * sign
+        beyond = table.normal.take(other_face, axis=1) * np.where(flip, -sign, sign)
+        far = corners[other_face, k].T - corners[face, (half % 3 + 1) % 3].T
+        is_rising = up[0] * far[0] + up[1] * far[1] + up[2] * far[2] > 0
         sharp = up[0] * beyond[0] + up[1] * beyond[1] + up[2] * beyond[2] < _SMOOTH
-        found[half[rises & sharp]] = True
-    return np.flatnonzero(found)
+        is_crease[half[is_rising & sharp]] = True
+    return np.flatnonzero(is_crease)
 
 
 class Creases:
@@ -84,22 +84,22 @@ class Creases:
         return sharp, least, most
 
     def _marked(self, corners: Floats) -> NDArray[np.bool_]:
-        found = np.zeros(self._shape, np.bool_)
+        is_marked = np.zeros(self._shape, np.bool_)
         if len(corners):
             for cell, _ in triangle_cells((corners - self._low) / self._width, exact=False):
-                found[tuple(np.clip(cell, 0, self._shape - 1).T)] = True
-        return found
+                is_marked[tuple(np.clip(cell, 0, self._shape - 1).T)] = True
+        return is_marked
 
-    def near(self, rows: Index, rungs: Index, asked: int, place: Floats, threads: int) -> NDArray[np.bool_]:
+    def near(self, rows: Index, rungs: Index, rung_bits: int, place: Floats, threads: int) -> NDArray[np.bool_]:
         """Return which rows of positions (n, 3) may have a crease, another piece or a cut nearby. Rows of rung -1 may; others are
-        tested by the grid of their rung over that of a cell. `asked` has a bit for each such rung. Never false where there is
+        tested by the grid of their rung over that of a cell. `rung_bits` has a bit for each such rung. Never false where there is
         one. The result for a position and a reach does not depend on the other queries."""
-        for rung in range(asked.bit_length()):
-            if asked >> rung & 1:
+        for rung in range(rung_bits.bit_length()):
+            if rung_bits >> rung & 1:
                 work = partial(close, rows, rungs, rung, place, self._low, self._width, self._within(self._first + rung))
-                parallel.in_parts(work, len(rows), threads, _ASKED)
-        found: NDArray[np.bool_] = rungs == -1
-        return found
+                parallel.in_parts(work, len(rows), threads, _PLACES_PER_THREAD)
+        is_near: NDArray[np.bool_] = rungs == -1
+        return is_near
 
     def _within(self, rung: int) -> NDArray[np.bool_]:
         """Return the cells within 2**rung mm of such a place."""
@@ -107,24 +107,24 @@ class Creases:
             rings = int(min(np.ceil(np.ldexp(1.0, rung) / self._width) + 1, self._shape.max()))
             corners, table, minded = self._of
             inputs = (corners, table.live, table.link, table.piece, table.cuts.cut, minded, float(rings))
-            found = stored_tables.stored("cells near creases", len(corners), inputs, partial(self._spread, rings))
-            self._around[rung] = found["near"]
+            tables = stored_tables.stored("cells near creases", len(corners), inputs, partial(self._spread, rings))
+            self._around[rung] = tables["near"]
         return self._around[rung]
 
     def _spread(self, rings: int) -> stored_tables.Tables:
         sharp, *pieces = self._grids
-        found: NDArray[np.bool_] = greatest_around(sharp, rings) if sharp.any() else sharp
+        is_near: NDArray[np.bool_] = greatest_around(sharp, rings) if sharp.any() else sharp
         if pieces:
             least, most = least_around(pieces[0], rings), greatest_around(pieces[1], rings)
-            found = found | ((least != most) & (most >= 0))
-        return {"near": found}
+            is_near = is_near | ((least != most) & (most >= 0))
+        return {"near": is_near}
 
 
 def _stored_clearance(corners: Floats, table: Topology) -> Floats:
     """As `clear_of_rises`, stored for other runs."""
     inputs = (corners, table.live, table.link, table.piece, table.cuts.cut)
-    found = stored_tables.stored("clear of rises", len(corners), inputs, lambda: {"clear": clear_of_rises(corners, table)})
-    clear: Floats = found["clear"]
+    tables = stored_tables.stored("clear of rises", len(corners), inputs, lambda: {"clear": clear_of_rises(corners, table)})
+    clear: Floats = tables["clear"]
     return clear
 
 
@@ -135,7 +135,7 @@ def clear_of_rises(corners: Floats, table: Topology) -> Floats:
 
     middle = corners.mean(axis=1)
     radius = np.sqrt(((corners - middle[:, None]) ** 2).sum(axis=2).max(axis=1))
-    found = np.full(len(corners), np.inf)
+    distances = np.full(len(corners), np.inf)
     half = inner_creases(table, corners)
     if half.size:
         one, two = (corners[half // 3, (half % 3 + k) % 3] for k in (1, 2))
@@ -144,15 +144,15 @@ def clear_of_rises(corners: Floats, table: Topology) -> Floats:
         samples = (one + part * (two - one)).reshape(-1, 3)  # most of them twice, from both sides of the crease
         samples = samples[np.lexsort(samples.T)]
         fresh = np.concatenate(([True], (samples[1:] != samples[:-1]).any(axis=1)))
-        found = cKDTree(samples[fresh]).query(middle)[0] - radius - reach
+        distances = cKDTree(samples[fresh]).query(middle)[0] - radius - reach
     pieces = np.unique(table.piece[table.live]).astype(np.int64)
     if pieces.size > _PIECES:
-        found[:] = 0.0
+        distances[:] = 0.0
     elif pieces.size > 1:
         noise = _NOISE * float((corners.max(axis=(0, 1)) - corners.min(axis=(0, 1))).max())
-        found = np.minimum(found, _to_other_pieces(corners, table.piece, pieces, middle, radius + noise))
-    found[table.cuts.cut] = 0.0
-    clear: Floats = np.maximum(found, 0.0)
+        distances = np.minimum(distances, _to_other_pieces(corners, table.piece, pieces, middle, radius + noise))
+    distances[table.cuts.cut] = 0.0
+    clear: Floats = np.maximum(distances, 0.0)
     return clear
 
 
@@ -162,7 +162,7 @@ def _to_other_pieces(corners: Floats, piece: Ints, pieces: Index, middle: Floats
 
     Each piece is a separate scene of rays. A face is measured from the piece with the nearest box, and then only from pieces with
     boxes nearer than that result. These are about two, however many there are."""
-    found = np.full(len(corners), np.inf)
+    distances = np.full(len(corners), np.inf)
     own = [np.flatnonzero(piece == each) for each in pieces]
     low, high = (np.stack([ends(corners[rows], axis=(0, 1)) for rows in own]) for ends in (np.min, np.max))
     near = []
@@ -172,7 +172,7 @@ def _to_other_pieces(corners: Floats, piece: Ints, pieces: Index, middle: Floats
         least, most = low[others].min(axis=0), high[others].max(axis=0)
         away = _from_box(middle[rows].T, least, most)
         far = away - error[rows] > _FAR * float((most - least).max())
-        found[rows[far]] = (away - error[rows])[far]
+        distances[rows[far]] = (away - error[rows])[far]
         near.append(rows[~far])
     rows = np.concatenate(near)
     at = middle[rows]
@@ -183,15 +183,15 @@ def _to_other_pieces(corners: Floats, piece: Ints, pieces: Index, middle: Floats
     scenes = [RayScene(corners[each].reshape(-1, 3), np.arange(3 * each.size, dtype=np.int32).reshape(-1, 3)) for each in own]
     for first in (True, False):
         for k, scene in enumerate(scenes):
-            some = np.flatnonzero(begin == k if first else (begin != k) & (bound[k] < best))
-            best[some] = np.minimum(best[some], scene.closest(at[some])[3])
-    found[rows] = best - error[rows]
-    return found
+            chosen_rows = np.flatnonzero(begin == k if first else (begin != k) & (bound[k] < best))
+            best[chosen_rows] = np.minimum(best[chosen_rows], scene.closest(at[chosen_rows])[3])
+    distances[rows] = best - error[rows]
+    return distances
 
 
-def _from_box(places: Floats, low: Floats, high: Floats) -> Floats:
+def _from_box(positions: Floats, low: Floats, high: Floats) -> Floats:
     """Return the distance of positions (3, n) from a box; 0 inside."""
-    x, y, z = (np.maximum(np.maximum(a - p, p - b), 0.0) for p, a, b in zip(places, low, high, strict=True))
+    x, y, z = (np.maximum(np.maximum(a - p, p - b), 0.0) for p, a, b in zip(positions, low, high, strict=True))
     away: Floats = np.sqrt(x * x + y * y + z * z)
     return away
 
@@ -229,17 +229,17 @@ class RiseMap:
         rows, rungs = parallel.joined(parts, rows, rungs)
         if not len(rows):
             return rows
-        found = self._creases.near(rows, rungs, reduce(or_, [each for _, _, each in parts]), place, threads)
+        is_near = self._creases.near(rows, rungs, reduce(or_, [each for _, _, each in parts]), place, threads)
         for low, high in moving:
             at, wide = place.take(rows, axis=0), reach[rows, None]
-            found |= ((at >= low - wide) & (at <= high + wide)).all(axis=1)
-        return rows[found]
+            is_near |= ((at >= low - wide) & (at <= high + wide)).all(axis=1)
+        return rows[is_near]
 
 
 @inlined
-def _rung(reach: F64, width: F64, whole: F64) -> I64:
+def _rung(reach: F64, width: F64, largest: F64) -> I64:
     """As the exponent of np.frexp."""
-    return ((as_bits(min(max(reach, width), whole)) >> 52) & 0x7FF) - _EXPONENT
+    return ((as_bits(min(max(reach, width), largest)) >> 52) & 0x7FF) - _EXPONENT
 
 
 @kernel
@@ -251,7 +251,7 @@ def candidates(
     wide: Array1[F64],
     reach: Array1[F64],
     width: F64,
-    whole: F64,
+    largest: F64,
     rows: Array1[I64],
     rungs: Array1[I64],
     begin: I64,
@@ -260,8 +260,8 @@ def candidates(
     """Return `begin`, the number of agents to before `end` on a face within `reach` of a rise, and the rungs of `Creases` to
     query. The rungs are bits, from that of `width` on. Write the rows of these agents from `begin` on. Write also the rung of
     those on a face larger than their reach (-1 for others)."""
-    count, asked = begin, 0
-    lowest = _rung(width, width, whole)
+    count, rung_bits = begin, 0
+    lowest = _rung(width, width, largest)
     for i in range(begin, end):
         if mesh[i] < 0 or mesh[i] >= first.size - 1 or face[i] < 0 or not reach[i] > 0:
             continue
@@ -270,11 +270,11 @@ def candidates(
             continue
         rung = -1
         if wide[f] > reach[i]:
-            rung = _rung(reach[i], width, whole) - lowest
-            asked = asked | (1 << rung)
+            rung = _rung(reach[i], width, largest) - lowest
+            rung_bits = rung_bits | (1 << rung)
         rows[count], rungs[count] = i, rung
         count += 1
-    return begin, count - begin, asked
+    return begin, count - begin, rung_bits
 
 
 @kernel

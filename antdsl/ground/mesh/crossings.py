@@ -9,7 +9,7 @@ from antdsl.ground.mesh.surroundings import standing
 from antdsl.ground.mesh.topology import NO_LINK
 from antdsl.ground.mesh.walkers import Cuts, Landing, Surface, Surroundings, Walker
 from antdsl.machine_code.kernels import BOOL, F64, I32, I64, Array1, Array2, called, inlined
-from antdsl.numerics.kernel_vectors import Vec3, Weights, at, dot, inside, minus, more, plus, times
+from antdsl.numerics.kernel_vectors import Vec3, Weights, at, dot, fmax, inside, minus, plus, times
 
 OFF = 16.0  # touches that feet are put off the face they left: beyond all that is taken for its border
 STEEP = 1e-6  # square of the sine of the angle of a cut, below which feet are not moved further off it
@@ -26,49 +26,53 @@ def crossed(surface: Surface, around: Surroundings, cuts: Cuts, walker: Walker, 
     their side is always certain."""
     table, link, f, side = surface.table, surface.link, walker.face, walker.side
     (first, others), touch = cuts, around.lengths.touch
-    place, up, way = standing(table, walker)
-    face, best, gone, soonest = -1, np.inf, length, np.inf
+    place, up, direction = standing(table, walker)
+    face, best, best_distance, soonest = -1, np.inf, length, np.inf
     for k in range(first[f], first[f + 1]):
         other = others[k]
         row = WIDTH * other
         normal, corner = at(table, row + NORMAL), at(table, row + CORNER)
         begins = dot(normal, minus(place, corner))
-        towards = dot(normal, way)
+        towards = dot(normal, direction)
         ends = begins + towards * length
         if not (begins * ends <= 0 or (abs(ends) <= touch and abs(ends) < abs(begins))) or not abs(begins) > touch:
             continue
         # A face that does not go up from the plane of the feet is under the sheet that is walked on.
-        rise = more(more(dot(up, at(table, row + EDGE1)), dot(up, at(table, row + EDGE2))), 0.0)
+        rise = fmax(fmax(dot(up, at(table, row + EDGE1)), dot(up, at(table, row + EDGE2))), 0.0)
         if not dot(up, minus(corner, place)) + rise > touch:
             continue
-        before = min(max(begins / (begins - ends if begins != ends else 1.0), 0.0), 1.0) * length
-        there = plus(place, times(way, before))
-        if not _within(table, row, there, 4 * touch) or not _leads_through(table, link, f, side, other, begins, there, touch):
+        crossing_distance = min(max(begins / (begins - ends if begins != ends else 1.0), 0.0), 1.0) * length
+        crossing_place = plus(place, times(direction, crossing_distance))
+        if not _within(table, row, crossing_place, 4 * touch) or not _leads_through(
+            table, link, f, side, other, begins, crossing_place, touch
+        ):
             continue
         # Keep off the surface that was left: otherwise the next step could not tell on which side the feet are. So the face that
         # is first at that distance counts.
         leans = -dot(up, normal) / (towards if towards != 0 else 1.0)
-        late = before + OFF * touch * min(max(leans, -LEANING), LEANING)
-        soonest = min(soonest, before)
+        late = crossing_distance + OFF * touch * min(max(leans, -LEANING), LEANING)
+        soonest = min(soonest, crossing_distance)
         if late < best or (late == best and other < face):
-            face, best, gone = other, late, before
+            face, best, best_distance = other, late, crossing_distance
     if face < 0:
         return Landing(-1, (0.0, 0.0), 1.0, length, 0.0, False)
     row = WIDTH * face
     normal = at(table, row + NORMAL)
-    there, towards = plus(place, times(way, gone)), dot(normal, way)
+    crossing_place, towards = plus(place, times(direction, best_distance)), dot(normal, direction)
     steep = minus(up, times(normal, dot(up, normal)))
     off = times(steep, OFF * touch / max(dot(steep, steep), STEEP))
-    pieces, ways = around.sides
-    back = pieces[f] == pieces[face] and ways[1 if side < 0 else 0, f] != ways[1 if towards > 0 else 0, face]
-    if back or _tight(table, cuts, face, f, there, off, touch):
+    pieces, side_groups = around.sides
+    back = pieces[f] == pieces[face] and side_groups[1 if side < 0 else 0, f] != side_groups[1 if towards > 0 else 0, face]
+    if back or _tight(table, cuts, face, f, crossing_place, off, touch):
         # Up to where feet keep off what they come to, or, in a corner, not at all.
         near = 0.0
         if back:
             near = max(soonest - OFF * touch / max(abs(towards), 1 / LEANING), 0.0)
-        weights = _landing(table, WIDTH * f, plus(place, times(way, near)))
+        weights = _landing(table, WIDTH * f, plus(place, times(direction, near)))
         return Landing(f, weights, (-1.0 if -dot(at(table, WIDTH * f + NORMAL), up) > 0 else 1.0), near, 0.0, True)
-    return Landing(face, _landing(table, row, plus(there, off)), (-1.0 if towards > 0 else 1.0), gone, 0.0, False)
+    return Landing(
+        face, _landing(table, row, plus(crossing_place, off)), (-1.0 if towards > 0 else 1.0), best_distance, 0.0, False
+    )
 
 
 @inlined
@@ -104,22 +108,23 @@ def _within(table: Array1[F64], row: I64, place: Vec3, touch: F64) -> BOOL:
 def _lowest(table: Array1[F64], face: I64, other: I64, sign: F64) -> F64:
     """Return the height of a face's lowest corner over the plane of another. The upper side of that plane is its normal times
     `sign`."""
-    row, there = WIDTH * face, WIDTH * other
-    up = times(at(table, there + NORMAL), sign)
-    first = dot(up, minus(at(table, row + CORNER), at(table, there + CORNER)))
+    row, other_row = WIDTH * face, WIDTH * other
+    up = times(at(table, other_row + NORMAL), sign)
+    first = dot(up, minus(at(table, row + CORNER), at(table, other_row + CORNER)))
     return first + min(min(dot(up, at(table, row + EDGE1)), dot(up, at(table, row + EDGE2))), 0.0)
 
 
 @inlined
 def _leads_through(
-    table: Array1[F64], link: Array2[I32], f: I64, side: F64, other: I64, begins: F64, there: Vec3, touch: F64
+    table: Array1[F64], link: Array2[I32], f: I64, side: F64, other: I64, begins: F64, crossing_place: Vec3, touch: F64
 ) -> BOOL:
-    """Return whether a path that reaches the plane of another face from height `begins`, at `there`, continues behind it or ends.
-    False where the current face only touches the other one and its neighbour folds back there, into a wedge without space."""
+    """Return whether a path that reaches the plane of another face from height `begins`, at `crossing_place`, continues behind it
+    or ends. False where the current face only touches the other one and its neighbour folds back there, into a wedge without
+    space."""
     sign = -1.0 if begins < 0 else 1.0
     if not _lowest(table, f, other, sign) >= -touch:
         return True
-    b1, b2 = _weights(table, WIDTH * f, there)
+    b1, b2 = _weights(table, WIDTH * f, crossing_place)
     edge, least = 0, 1.0 - b1 - b2
     if b1 < least:
         edge, least = 1, b1
@@ -136,7 +141,7 @@ def _tight(table: Array1[F64], cuts: Cuts, face: I64, own: I64, place: Vec3, off
     """Return whether three sheets meet. Feet placed on a face at a position, `off` from their own face, would pass or touch a
     third sheet; then they stay."""
     first, others = cuts
-    found = False
+    is_tight = False
     for k in range(first[face], first[face + 1]):
         third = others[k]
         if third == own:
@@ -145,6 +150,6 @@ def _tight(table: Array1[F64], cuts: Cuts, face: I64, own: I64, place: Vec3, off
         normal = at(table, row + NORMAL)
         begins = dot(normal, minus(place, at(table, row + CORNER)))
         ends = begins + dot(normal, off)
-        met = (begins * ends < 0 and abs(begins) > touch) or abs(ends) <= touch
-        found = found or (met and _within(table, row, place, 2 * OFF * touch))
-    return found
+        is_touched = (begins * ends < 0 and abs(begins) > touch) or abs(ends) <= touch
+        is_tight = is_tight or (is_touched and _within(table, row, place, 2 * OFF * touch))
+    return is_tight

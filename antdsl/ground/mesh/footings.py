@@ -10,7 +10,7 @@ _FETCHED = 64  # footings with vertices prefetched together
 
 
 @kernel
-def places(
+def write_positions(
     vertices: Array1[F64],
     faces: Array2[I32],
     normal: Array2[F64],
@@ -56,24 +56,26 @@ def places(
 
 @kernel
 def faced(
-    mesh: Array1[I32], face: Array1[I32], first: Array1[I64], side: Array1[I8], found: Array1[I8], begin: I64, end: I64
+    mesh: Array1[I32], face: Array1[I32], first: Array1[I64], side: Array1[I8], sides: Array1[I8], begin: I64, end: I64
 ) -> None:
     """Write the side of the face of footings `begin` to `end` (exclusive); the faces of a mesh begin at `first`; 0 for
     nowhere."""
     for n in range(begin, end):
         if mesh[n] >= 0 and face[n] >= 0:
-            found[n] = side[first[mesh[n]] + face[n]]
+            sides[n] = side[first[mesh[n]] + face[n]]
         else:
-            found[n] = 0
+            sides[n] = 0
 
 
 @kernel
-def farthest(ways: Array2[F64], sizes: Array1[F64]) -> tuple[F64, F64]:
+def farthest(displacements: Array2[F64], sizes: Array1[F64]) -> tuple[F64, F64]:
     """Return the greatest squared length of the finite vectors (3, n), 0 if there is none; and the greatest of sizes, NaN if all
     are NaN."""
     most, widest = 0.0, np.nan
     for k in range(sizes.size):
-        square = (ways[0, k] * ways[0, k] + ways[1, k] * ways[1, k]) + ways[2, k] * ways[2, k]
+        square = (displacements[0, k] * displacements[0, k] + displacements[1, k] * displacements[1, k]) + displacements[
+            2, k
+        ] * displacements[2, k]
         if square < np.inf:
             most = max(most, square)
         if not widest >= sizes[k] and sizes[k] == sizes[k]:

@@ -27,14 +27,14 @@ def open_borders(table: Topology, boxes: Boxes, scale: Scale, widest: float) -> 
     line. Paths along that plane, and those beyond the line, stay at least the gap away from these faces."""
     half = np.flatnonzero((table.link[0] == NO_LINK) & (table.link[1] == NO_LINK) & np.repeat(table.live, 3))[:_MOST]
     reach = 1.01 * ((HIGH + GAP) * float(np.fmax(widest, scale.least / LIFT)) + 4 * scale.fine)
-    found, begin, many, left = [half[:0]], 0, 1, _PAIRS
+    batches, begin, many, left = [half[:0]], 0, 1, _PAIRS
     while begin < len(half) and left > 0:
-        some = half[begin : begin + many]
-        free, pairs = _open(table, boxes, scale, reach, some)
-        found.append(some[free])
+        batch = half[begin : begin + many]
+        free, pairs = _open(table, boxes, scale, reach, batch)
+        batches.append(batch[free])
         begin, left = begin + many, left - pairs
-        many = max(1, min(2 * many, _AT_ONCE * len(some) // max(pairs, 1)))
-    return np.concatenate(found)
+        many = max(1, min(2 * many, _AT_ONCE * len(batch) // max(pairs, 1)))
+    return np.concatenate(batches)
 
 
 def _open(table: Topology, boxes: Boxes, scale: Scale, reach: float, half: Index) -> tuple[NDArray[np.bool_], int]:
@@ -42,19 +42,19 @@ def _open(table: Topology, boxes: Boxes, scale: Scale, reach: float, half: Index
     were checked."""
     face, k = half // 3, half % 3
     one, other = _corners(table, face, (k + 1) % 3), _corners(table, face, (k + 2) % 3)
-    asked, there = boxes.near(np.minimum(one, other) - reach, np.maximum(one, other) + reach)
-    asked, there = (each[there != face.take(asked)] for each in (asked, there))
-    out = table.in_space(face, table.edge_s.take(half), -table.edge_c.take(half)).take(asked, axis=1)
-    normal, begin = table.normal.take(face.take(asked), axis=1), one.take(asked, axis=1)
+    edge_rows, near_faces = boxes.near(np.minimum(one, other) - reach, np.maximum(one, other) + reach)
+    edge_rows, near_faces = (each[near_faces != face.take(edge_rows)] for each in (edge_rows, near_faces))
+    out = table.in_space(face, table.edge_s.take(half), -table.edge_c.take(half)).take(edge_rows, axis=1)
+    normal, begin = table.normal.take(face.take(edge_rows), axis=1), one.take(edge_rows, axis=1)
     free, least = np.ones(len(half), np.bool_), _LEVEL * scale.fine
     for corner in range(3):
-        away = _corners(table, there, np.full(len(there), corner)) - begin
-        free[asked[~((np.abs(dot(away, normal)) <= least) & (dot(away, out) <= least))]] = False
-    return free, len(asked)
+        away = _corners(table, near_faces, np.full(len(near_faces), corner)) - begin
+        free[edge_rows[~((np.abs(dot(away, normal)) <= least) & (dot(away, out) <= least))]] = False
+    return free, len(edge_rows)
 
 
 def _corners(table: Topology, face: Index, k: Index) -> NDArray[np.float64]:
     """The corner `k` of each face, (3, n)."""
     edge = np.where(k == 1, table.edge1.take(face, axis=1), table.edge2.take(face, axis=1))
-    found: NDArray[np.float64] = table.corner.take(face, axis=1) + np.where(k == 0, 0.0, edge)
-    return found
+    corners: NDArray[np.float64] = table.corner.take(face, axis=1) + np.where(k == 0, 0.0, edge)
+    return corners

@@ -57,20 +57,20 @@ def cuts(corners: Floats, weld: Ints, piece: Ints, grain: float) -> Cuts:
 
 def _pairs(corners: Floats, weld: Ints, piece: Ints, grain: float) -> tuple[Index, Index]:
     """Return pairs of faces of one piece, of which one has an edge that crosses, ends on or lies on the other."""
-    found = [np.empty((2, 0), np.int64)]
+    cut_pairs = [np.empty((2, 0), np.int64)]
     normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     normal /= np.maximum(length(normal), 1e-300)[:, None]
-    places = np.ascontiguousarray(weld.T)  # of corner after corner: three arrays are faster than an axis of three
+    weld_columns = np.ascontiguousarray(weld.T)  # of corner after corner: three arrays are faster than an axis of three
     for one, two in _near(corners, np.flatnonzero(piece >= 0)):
         own = np.flatnonzero(piece.take(one) == piece.take(two))
         one, two = one[own], two[own]
-        same = [[here.take(one) == there.take(two) for there in places] for here in places]
+        same = [[own_corner.take(one) == other_corner.take(two) for other_corner in weld_columns] for own_corner in weld_columns]
         # Who share an edge fold along it and cannot cut each other. Who share a corner can.
         count = sum(each.view(np.int8) for row in same for each in row)
-        apart = np.flatnonzero(count < 2)
-        apart = apart[np.abs(dot(normal[one[apart]], normal[two[apart]])) < _COPLANAR]
-        one, two = one[apart], two[apart]
-        same = [[each[apart] for each in row] for row in same]
+        pair_rows = np.flatnonzero(count < 2)
+        pair_rows = pair_rows[np.abs(dot(normal[one[pair_rows]], normal[two[pair_rows]])) < _COPLANAR]
+        one, two = one[pair_rows], two[pair_rows]
+        same = [[each[pair_rows] for each in row] for row in same]
         shared = [[a | b | c for a, b, c in rows] for rows in (same, zip(*same, strict=True))]
         for _ in range(2):  # each has other corners on both sides of the other, or on it
             ground, up = corners[two, 0], normal[two]
@@ -85,8 +85,8 @@ def _pairs(corners: Floats, weld: Ints, piece: Ints, grain: float) -> tuple[Inde
                 free = np.flatnonzero(~(meets[k] | meets[(k + 1) % 3] | cuts))
                 ends = corners[f[free], k], corners[f[free], (k + 1) % 3]
                 cuts[free] = _pierces(*ends, corners[g[free]], grain)
-        found.append(np.stack([one[cuts], two[cuts]]))
-    pairs = np.unique(np.concatenate(found, axis=1), axis=1)
+        cut_pairs.append(np.stack([one[cuts], two[cuts]]))
+    pairs = np.unique(np.concatenate(cut_pairs, axis=1), axis=1)
     return pairs[0], pairs[1]
 
 
@@ -113,11 +113,11 @@ def _in_cells(corners: Floats, now: Index, smaller: Index, width: float) -> Iter
     listed = np.concatenate([now, smaller])
     if listed.size < 2:
         return
-    places = corners[listed]
-    begin = places.min(axis=(0, 1))
-    width = max(width, float((places.max(axis=(0, 1)) - begin).max()) / _MOST_CELLS, 1e-300)
+    listed_corners = corners[listed]
+    begin = listed_corners.min(axis=(0, 1))
+    width = max(width, float((listed_corners.max(axis=(0, 1)) - begin).max()) / _MOST_CELLS, 1e-300)
     keys, names = [], []
-    for cell, which in triangle_cells((places - begin) / width, exact=False):
+    for cell, which in triangle_cells((listed_corners - begin) / width, exact=False):
         keys.append((cell[:, 0] << 42) | (cell[:, 1] << 21) | cell[:, 2])
         names.append(which)
     key, name = np.concatenate(keys), np.concatenate(names)
@@ -131,9 +131,9 @@ def _in_cells(corners: Floats, now: Index, smaller: Index, width: float) -> Iter
     start = 0
     while start < key.size:
         end = max(int(np.searchsorted(stop, (stop[start - 1] if start else 0) + _PAIRS, "right")), start + 1)
-        here = count[start:end]
-        one = np.repeat(np.arange(start, end), here)
-        two = one + 1 + np.arange(one.size) - np.repeat(np.cumsum(here) - here, here)
+        counts = count[start:end]
+        one = np.repeat(np.arange(start, end), counts)
+        two = one + 1 + np.arange(one.size) - np.repeat(np.cumsum(counts) - counts, counts)
         yield listed[name[one]], listed[name[two]]
         start = end
 

@@ -7,7 +7,7 @@ import numpy as np
 from antdsl.ground.mesh.face_table import AXIS1, AXIS2, CORNER, EDGE1, EDGE2, EDGES, NORMAL, RATE1, SMOOTH, WIDTH
 from antdsl.ground.mesh.topology import NO_LINK
 from antdsl.ground.mesh.walkers import Clearances, Direction, Progress, Stop, Surface, Walker
-from antdsl.machine_code.kernels import BOOL, F64, I64, Array1, consecutive, fetch_ahead, inlined, whole
+from antdsl.machine_code.kernels import BOOL, F64, I64, Array1, consecutive, fetch_ahead, inlined, nearest_integer
 from antdsl.numerics.kernel_vectors import Pose, Vec3, Weights, inside, plus, times
 
 CROSSINGS = 400  # of edges in one step, after which an agent waits for the next
@@ -44,7 +44,7 @@ def free(near: Clearances, f: I64, weights: Weights) -> F64:
     n = near.counts[f]
     if n == 0:
         return near.reach
-    column, row = whole(np.floor(weights[0] * n)), whole(np.floor(weights[1] * n))
+    column, row = nearest_integer(np.floor(weights[0] * n)), nearest_integer(np.floor(weights[1] * n))
     return near.least[near.first[f] + max(min(column, n - 1), 0) * n + max(min(row, n - 1), 0)]
 
 
@@ -57,7 +57,7 @@ def go(
     borders with nothing beyond them."""
     table, link, forked, _ = surface
     f, (b1, b2), side, (c, s), (heading_c, heading_s) = walker
-    left, gone, turn = progress
+    left, distance, turn = progress
     event, edge, length, hops = 0, 0, 0.0, 0
     while turn < CROSSINGS and left > 0:
         if turn >= STUCK:  # noqa: SIM102 # tested first: it is rarely true, and the remainder of a division is expensive
@@ -74,25 +74,25 @@ def go(
         if rate0 < 0:
             until = max(b0, 0.0) / -rate0
         if rate1 < 0:
-            way = max(b1, 0.0) / -rate1
-            if way < until:
-                until, edge = way, 1
+            edge_distance = max(b1, 0.0) / -rate1
+            if edge_distance < until:
+                until, edge = edge_distance, 1
         if rate2 < 0:
-            way = max(b2, 0.0) / -rate2
-            if way < until:
-                until, edge = way, 2
+            edge_distance = max(b2, 0.0) / -rate2
+            if edge_distance < until:
+                until, edge = edge_distance, 2
         length = min(until, left)
         if high > 0 and not looked and free(near, f, (b1, b2)) <= length + high:
             event = AHEAD
             break
         looked = False
         b1, b2 = inside(b1 + rate1 * length, b2 + rate2 * length)
-        gone += length
+        distance += length
         if until >= left:
             break
         left = left - length
         cosine, sine, linked, _ = consecutive(table, row + EDGES + 4 * edge, 4)
-        beyond = link[1, 3 * f + edge] if forked and side < 0 else whole(linked)
+        beyond = link[1, 3 * f + edge] if forked and side < 0 else nearest_integer(linked)
         if beyond < 0:
             if beyond == NO_LINK or not along_open or high > 0:
                 event = BORDER
@@ -109,7 +109,7 @@ def go(
                 fetch_ahead(table, WIDTH * f + line)
         turn += 1
     walker = Walker(f, (b1, b2), side, (c, s), (heading_c, heading_s))
-    return walker, Progress(left, gone, turn), Stop(event, edge, length, hops)
+    return walker, Progress(left, distance, turn), Stop(event, edge, length, hops)
 
 
 @inlined
@@ -123,10 +123,17 @@ def along_border(edge: Direction, direction: Direction, left: F64) -> tuple[Dire
 
 @inlined
 def _cross(
-    table: Array1[F64], beyond: I64, edge: I64, along: Direction, weights: Weights, side: F64, way: Direction, heading: Direction
+    table: Array1[F64],
+    beyond: I64,
+    edge: I64,
+    along: Direction,
+    weights: Weights,
+    side: F64,
+    direction: Direction,
+    heading: Direction,
 ) -> Walker:
     """Return the agent in the face beyond an edge with direction `along`."""
-    (c1, s1), (b1, b2), (c, s), (heading_c, heading_s) = along, weights, way, heading
+    (c1, s1), (b1, b2), (c, s), (heading_c, heading_s) = along, weights, direction, heading
     f, k2, flip = np.int64(beyond >> 3), (beyond >> 1) & 3, (beyond & 1) == 1
     b0 = 1.0 - b1 - b2
     first = b1 if edge == 0 else (b2 if edge == 1 else b0)

@@ -79,15 +79,15 @@ class MeshGround:
         middle = (self.low + self.high) / 2
         height = ((middle - points) * up).sum(axis=1) + self.extent * 1.8  # more than the half diagonal above the middle
         hits = scene.cast(points + up * height[:, None], -up)
-        found = hits.hit
+        is_hit = hits.hit
         face = self._face_of(hits.mesh, hits.face, live)
-        place = points + up * (height - np.where(found, hits.t, 0.0))[:, None]
-        missed = np.flatnonzero(~found)
+        place = points + up * (height - np.where(is_hit, hits.t, 0.0))[:, None]
+        missed = np.flatnonzero(~is_hit)
         if missed.size:
             mesh, near, nearest, _ = scene.closest(points[missed])
             face[missed] = self._face_of(mesh, near, live)
             place[missed] = nearest
-        return self._footing(face, *self._table.weights(np.maximum(face, 0), place.T)), found
+        return self._footing(face, *self._table.weights(np.maximum(face, 0), place.T)), is_hit
 
     def nearest(self, points: Floats, on: Iterable[str] | None = None) -> tuple[Footing, Floats]:
         """Footings at the nearest point of the surfaces in `on`, all when None, to points [n,3], and the distance float64[n]."""
@@ -97,26 +97,26 @@ class MeshGround:
         face = self._face_of(mesh, local, live)
         return self._footing(face, *self._table.weights(np.maximum(face, 0), place.T)), distance
 
-    def met(self, origin: Floats, way: Floats, threads: int = 1) -> tuple[NDArray[np.bool_], Floats, Footing]:
-        """Return which straight ways from `origin` [n,3] by `way` [n,3] hit a surface, the part of the way before it, and the
-        footing there."""
-        part, face = self._cast(np.asarray(origin, np.float64).T, np.asarray(way, np.float64).T, threads)
-        found = face >= 0
-        place = origin.T + way.T * np.where(found, part, 0.0)
-        return found, np.where(found, part, 1.0), self._footing(face, *self._table.weights(np.maximum(face, 0), place))
+    def trace_hits(self, origin: Floats, displacement: Floats, threads: int = 1) -> tuple[NDArray[np.bool_], Floats, Footing]:
+        """Return which straight ways from `origin` [n,3] by `displacement` [n,3] hit a surface, the part of the way before it,
+        and the footing there."""
+        part, face = self._cast(np.asarray(origin, np.float64).T, np.asarray(displacement, np.float64).T, threads)
+        is_hit = face >= 0
+        place = origin.T + displacement.T * np.where(is_hit, part, 0.0)
+        return is_hit, np.where(is_hit, part, 1.0), self._footing(face, *self._table.weights(np.maximum(face, 0), place))
 
-    def faced(self, origin: Floats, way: Floats, threads: int = 1) -> tuple[Index, Floats, Floats]:
-        """Return the numbers, ascending, of straight ways from `origin` [n,3] by `way` [n,3] that hit a surface. Return also the
-        part of the way before it, and the face's unit normal (3, k), by its winding."""
+    def faced(self, origin: Floats, displacement: Floats, threads: int = 1) -> tuple[Index, Floats, Floats]:
+        """Return the numbers, ascending, of straight ways from `origin` [n,3] by `displacement` [n,3] that hit a surface. Return
+        also the part of the way before it, and the face's unit normal (3, k), by its winding."""
         scene, live = self._scene(None)
-        return scene.faced(origin, way, self._table.normal, live, threads)
+        return scene.faced(origin, displacement, self._table.normal, live, threads)
 
     def position(self, footing: Footing) -> Floats:
         """Return positions in the world, float64[n,3]; zero for footings nowhere. Raises IndexError for an invalid face."""
-        found, at = np.empty((len(footing), 3)), (footing.mesh, footing.face, footing.b1, footing.b2, footing.over)
-        if not footings.places(self._vertices.reshape(-1), self._faces, self._table.normal, self._first, *at, found):
+        positions, at = np.empty((len(footing), 3)), (footing.mesh, footing.face, footing.b1, footing.b2, footing.over)
+        if not footings.write_positions(self._vertices.reshape(-1), self._faces, self._table.normal, self._first, *at, positions):
             raise IndexError("a footing is on a face that the ground does not have")
-        return found
+        return positions
 
     def normal(self, footing: Footing) -> Floats:
         """Return unit normals of the faces, float64[n,3], by their winding; zero for footings nowhere."""
@@ -127,10 +127,10 @@ class MeshGround:
 
     def sides(self, footing: Footing, threads: int = 1) -> NDArray[np.int8]:
         """Return the axis direction nearest to each face's normal, int8[n]: 0 +x, 1 -x, 2 +y, 3 -y, 4 +z, 5 -z; 0 for nowhere."""
-        found = np.empty(len(footing), np.int8)
+        face_sides = np.empty(len(footing), np.int8)
         on = (footing.mesh, footing.face, self._first, self._side)
-        parallel.in_parts(partial(footings.faced, *on, found), len(footing), threads, parallel.LIGHT)
-        return found
+        parallel.in_parts(partial(footings.faced, *on, face_sides), len(footing), threads, parallel.LIGHT)
+        return face_sides
 
     def upright(self, footing: Footing, up: Floats) -> Floats:
         """Return smooth unit normals float64[n,3] on the side that `up` ([3] or [n,3]) points to; `up` itself for footings
@@ -209,11 +209,11 @@ class MeshGround:
             parts = self._clearances.within(self._reach(wish, body))
         moved = Footing.on_faces(np.empty(n, np.int32), np.empty(n, np.int32), *np.empty((3, n)))
         place, above, ahead, along = np.empty((4, 3, n))
-        gone, blocked = np.empty(n), np.zeros(n, np.bool_)
+        distances, blocked = np.empty(n), np.zeros(n, np.bool_)
         at, to = ((f.mesh, f.face, f.b1, f.b2, f.over) for f in (footing, moved))
-        results = (*to, place, above, ahead, along, gone, blocked)
+        results = (*to, place, above, ahead, along, distances, blocked)
         self._walk().over(parts, self._boxes, self._scale).step(body, at, (wish, heading_t, up_t), results, threads, straight)
-        return Move(moved, place.T, above.T, ahead.T, along.T, gone, blocked, moved.face < 0)
+        return Move(moved, place.T, above.T, ahead.T, along.T, distances, blocked, moved.face < 0)
 
     def crowd_walk(self, longest: float, widest: float) -> CrowdWalk | None:
         """Return the walk over triangles for kernels, for displacements up to `longest` and bodies up to `widest` (mm). None if

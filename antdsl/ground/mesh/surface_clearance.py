@@ -60,8 +60,8 @@ class Clearances:
     def _measured(self, reach: float) -> Parts:
         inputs = (self._corners, self._piece, self._cut, self._low, self.noise, reach)
         size = len(self._piece) if self._several else 0
-        found = stored_tables.stored("distances of pieces", size, inputs, partial(self._measure, reach))
-        return Parts(reach, found["first"], found["count"], found["least"])
+        tables = stored_tables.stored("distances of pieces", size, inputs, partial(self._measure, reach))
+        return Parts(reach, tables["first"], tables["count"], tables["least"])
 
     def _measure(self, reach: float) -> stored_tables.Tables:
         m = len(self._piece)
@@ -78,11 +78,11 @@ class Clearances:
             for piece in np.unique(self._piece[near]):
                 if piece >= 0:
                     own = self._piece[near] == piece
-                    least[own] = self._apart(near[own], near[~own & (self._piece[near] >= 0)], n, reach)
+                    least[own] = self._part_clearances(near[own], near[~own & (self._piece[near] >= 0)], n, reach)
         least[self._cut[near]] = 0.0
         return {"first": first, "count": count, "least": least.ravel()}
 
-    def _apart(self, own: Index, others: Index, n: int, reach: float) -> Floats:
+    def _part_clearances(self, own: Index, others: Index, n: int, reach: float) -> Floats:
         """Return the clearances of faces, each cut into n*n parts, from other faces, (k, n*n)."""
         a, b, c = (self._corners[own, k] for k in range(3))
         edge1, edge2 = (b - a) / n, (c - a) / n
@@ -91,24 +91,24 @@ class Clearances:
         centre = a[:, None] + one[:, None] * edge1[:, None] + two[:, None] * edge2[:, None]
         radius = np.sqrt(np.maximum(((edge1 + edge2) ** 2).sum(axis=1), ((edge1 - edge2) ** 2).sum(axis=1))) / 2
         low, high = (np.min(centre, axis=(0, 1)) - 2 * reach, np.max(centre, axis=(0, 1)) + 2 * reach)
-        there = self._corners[others]
-        beside = ((there.min(axis=1) <= high) & (there.max(axis=1) >= low)).all(axis=1)
+        other_corners = self._corners[others]
+        beside = ((other_corners.min(axis=1) <= high) & (other_corners.max(axis=1) >= low)).all(axis=1)
         if not beside.any():
             return np.full(centre.shape[:2], reach)
-        scene = RayScene(there[beside].reshape(-1, 3), np.arange(3 * int(beside.sum()), dtype=np.int32).reshape(-1, 3))
+        scene = RayScene(other_corners[beside].reshape(-1, 3), np.arange(3 * int(beside.sum()), dtype=np.int32).reshape(-1, 3))
         _, _, _, distance = scene.closest(centre.reshape(-1, 3))
-        apart = distance.reshape(centre.shape[:2]) - radius[:, None] - 2 * self.noise
-        clear: Floats = np.clip(apart, 0.0, reach)
+        gaps = distance.reshape(centre.shape[:2]) - radius[:, None] - 2 * self.noise
+        clear: Floats = np.clip(gaps, 0.0, reach)
         return clear
 
     def _near(self, reach: float) -> NDArray[np.bool_]:
         """Return the faces that may have another piece within `reach` mm: those in a cell with two pieces nearby."""
         grid = self._pieces
         mixed = grid.mixed(int(min(np.ceil(reach / grid.width), grid.size.max())))
-        found = np.zeros(len(grid.scaled), bool)
+        is_near = np.zeros(len(grid.scaled), bool)
         for cell, which in triangle_cells(grid.scaled, exact=False):
-            found[which[mixed[grid.flat(np.clip(cell, 0, grid.size - 1))]]] = True
-        return found
+            is_near[which[mixed[grid.flat(np.clip(cell, 0, grid.size - 1))]]] = True
+        return is_near
 
     @cached_property
     def _pieces(self) -> _PieceGrid:

@@ -12,12 +12,12 @@ from antdsl.ground.mesh.boxes import first_of, gather
 from antdsl.ground.mesh.face_table import AXIS1, AXIS2, CORNER, EDGE1, EDGE2, EDGE_C, EDGE_S, EDGES, NORMAL, WIDTH
 from antdsl.ground.mesh.walkers import Direction, Landing, Lengths, Sides, Surroundings, Walker
 from antdsl.machine_code.kernels import BOOL, F64, I64, Array1, called, inlined
-from antdsl.numerics.kernel_vectors import Vec3, Weights, at, dot, inside, less, level, minus, more, nearest, plus, times, turned
+from antdsl.numerics.kernel_vectors import Vec3, Weights, at, dot, fmax, fmin, inside, level, minus, nearest, plus, times, turned
 
 LIFT = 0.02  # of a body: how far above the surface an agent looks ahead
 STEEPEST = 8.0  # times that height is the way left at least: an agent that climbs also comes up by it
 GAP = 0.02  # of a body: how far beyond a border it looks for what continues there
-HIGH, DEEP = 0.5, 0.25  # of a body: how far above and below a border it looks, and how deep back
+HIGH, DEPTH = 0.5, 0.25  # of a body: how far above and below a border it looks, and how deep back
 NOISE = 1e-4  # of the extent of a ground: more than distances to other pieces err by
 LEAST = 1e-6  # of that extent: least height of eyes
 FINE = 1e-8  # of that extent: nearer surfaces are at one place
@@ -50,7 +50,7 @@ class Stance(NamedTuple):
 
     place: Vec3
     up: Vec3
-    way: Vec3
+    direction: Vec3
 
 
 class Sight(NamedTuple):
@@ -75,63 +75,63 @@ class Border(NamedTuple):
 def other_ahead(table: Array1[F64], around: Surroundings, body: F64, walker: Walker, left: F64, length: F64) -> Landing:
     """Return another piece of surface within the path, seen from slightly above the ground. If the agent's own piece hides it, it
     is searched from a minimal height, because feet would pass under the own piece."""
-    pieces, boxes, found, f = around.sides.piece, around.boxes, around.found, walker.face
+    pieces, boxes, face_list, f = around.sides.piece, around.boxes, around.face_list, walker.face
     least, fine = around.lengths.least, around.lengths.fine
     ground = standing(table, walker)
-    place, _, way = ground
-    high = more(less(LIFT * body, left / STEEPEST), least)
-    n = gather(pieces, boxes, place, plus(place, times(way, length)), high + 2 * fine, -1, pieces[f], found)
+    place, _, direction = ground
+    high = fmax(fmin(LIFT * body, left / STEEPEST), least)
+    n = gather(pieces, boxes, place, plus(place, times(direction, length)), high + 2 * fine, -1, pieces[f], face_list)
     if n == 0:
         return Landing(-1, (0.0, 0.0), 1.0, length, 0.0, False)
-    face, weights, gone, towards, eye = _seen(table, around, n, ground, length, high)
+    face, weights, distance, towards, eye = _look_ahead(table, around, n, ground, length, high)
     if face < 0:
         return Landing(face, (0.0, 0.0), 1.0, length, 0.0, False)
     if _hidden(table, around, f, ground, length, eye, towards):
-        n = gather(pieces, boxes, place, plus(place, times(way, length)), high + 2 * fine, -1, pieces[f], found)
-        face, weights, gone, towards, eye = _seen(table, around, n, ground, length, least)
+        n = gather(pieces, boxes, place, plus(place, times(direction, length)), high + 2 * fine, -1, pieces[f], face_list)
+        face, weights, distance, towards, eye = _look_ahead(table, around, n, ground, length, least)
         if face < 0:
             return Landing(face, (0.0, 0.0), 1.0, length, 0.0, False)
     weights = inside(weights[0] + 0.0, weights[1] + 0.0)
-    return Landing(face, weights, _side(table, face, towards), min(np.sqrt(gone * gone + eye * eye), left), 0.0, False)
+    return Landing(face, weights, _side(table, face, towards), min(np.sqrt(distance * distance + eye * eye), left), 0.0, False)
 
 
 @called
-def _seen(table: Array1[F64], around: Surroundings, n: I64, ground: Stance, length: F64, high: F64) -> Sight:
+def _look_ahead(table: Array1[F64], around: Surroundings, n: I64, ground: Stance, length: F64, high: F64) -> Sight:
     """Return another piece within the path, seen from height `high`, or from half the height of a low ceiling. If there is none,
     search at the path's end between that eye and the ground."""
-    boxes, found, fine, under = around.boxes, around.found, around.lengths.fine, around.lengths.under
-    place, up, way = ground
-    roof, part, _ = first_of(table, boxes, found, n, place, times(up, high), fine)
+    boxes, face_list, fine, under = around.boxes, around.face_list, around.lengths.fine, around.lengths.under
+    place, up, direction = ground
+    roof, part, _ = first_of(table, boxes, face_list, n, place, times(up, high), fine)
     # What shows its back a grain above the agent is below it: feet may be that far in the ground that they climb.
     if roof >= 0 and (dot(at(table, WIDTH * roof + NORMAL), up) < 0 or high * part > under):
         high = high * part / 2
-    eye, step = plus(place, times(up, high)), times(way, length)
-    face, part, weights = first_of(table, boxes, found, n, eye, step, fine)
+    eye, step = plus(place, times(up, high)), times(direction, length)
+    face, part, weights = first_of(table, boxes, face_list, n, eye, step, fine)
     if face >= 0:
-        return Sight(face, weights, min(part, 1.0) * length, way, high)
+        return Sight(face, weights, min(part, 1.0) * length, direction, high)
     # What has come between the eye and the ground is below the next eye, that of the face round the edge or of the next step.
     down = times(up, -high)
-    face, _, weights = first_of(table, boxes, found, n, plus(eye, step), down, 0.0)
+    face, _, weights = first_of(table, boxes, face_list, n, plus(eye, step), down, 0.0)
     return Sight(face, weights, length, down, high)
 
 
 @called
 def _hidden(table: Array1[F64], around: Surroundings, f: I64, ground: Stance, length: F64, high: F64, towards: Vec3) -> BOOL:
     """Return whether the agent's own piece hides what is seen from eye height `high`."""
-    pieces, boxes, found, fine = around.sides.piece, around.boxes, around.found, around.lengths.fine
-    place, up, way = ground
-    step, piece = times(way, length), pieces[f]
+    pieces, boxes, face_list, fine = around.sides.piece, around.boxes, around.face_list, around.lengths.fine
+    place, up, direction = ground
+    step, piece = times(direction, length), pieces[f]
     eye = plus(place, times(up, high))
-    n = gather(pieces, boxes, place, plus(place, step), high + 2 * fine, f, -1, found)
-    first = first_of(table, boxes, found, n, plus(place, times(up, fine)), times(up, high - fine), 0.0).face
+    n = gather(pieces, boxes, place, plus(place, step), high + 2 * fine, f, -1, face_list)
+    first = first_of(table, boxes, face_list, n, plus(place, times(up, fine)), times(up, high - fine), 0.0).face
     if first >= 0 and pieces[first] == piece:
         return True
-    first = first_of(table, boxes, found, n, eye, step, fine).face
+    first = first_of(table, boxes, face_list, n, eye, step, fine).face
     if first >= 0 and pieces[first] == piece:
         return True
-    if towards[0] == way[0] and towards[1] == way[1] and towards[2] == way[2]:
+    if towards[0] == direction[0] and towards[1] == direction[1] and towards[2] == direction[2]:
         return False
-    first = first_of(table, boxes, found, n, plus(eye, step), towards, 0.0).face
+    first = first_of(table, boxes, face_list, n, plus(eye, step), towards, 0.0).face
     return first >= 0 and pieces[first] == piece
 
 
@@ -143,86 +143,86 @@ def beyond(table: Array1[F64], around: Surroundings, body: F64, edge: I64, walke
 
     Each part of the path begins at the end of the one before, and stops at the first surface. So the agent never steps onto
     anything behind a sheet. The path extends the width of the gap on both sides of the border."""
-    sides, boxes, found, f = around.sides, around.boxes, around.found, walker.face
+    sides, boxes, face_list, f = around.sides, around.boxes, around.face_list, walker.face
     pieces, least, fine = sides.piece, around.lengths.least, around.lengths.fine
     row = WIDTH * f
     place, up = stand(table, row, walker.weights, walker.side), times(at(table, row + NORMAL), walker.side)
     border = Border(f, walker.side, up)
     along = row + EDGES + 4 * edge
     out = _in_space(table, row, (table[along + EDGE_S], -table[along + EDGE_C]))
-    body = more(body, least / LIFT)
+    body = fmax(body, least / LIFT)
     gap, high = GAP * body, HIGH * body
     most, across = high, times(out, gap)
     lift = times(up, high)
-    n = gather(pieces, boxes, plus(place, lift), minus(place, lift), gap + 4 * fine, f, -1, found)
+    n = gather(pieces, boxes, plus(place, lift), minus(place, lift), gap + 4 * fine, f, -1, face_list)
     if n == 0:
         return Landing(-1, (0.0, 0.0), 1.0, 0.0, 0.0, False)
     hair = times(out, 2 * fine)  # an offset, beside a border that ends or begins exactly above or below this one
-    roof, part, _ = first_of(table, boxes, found, n, plus(minus(place, hair), times(up, fine)), times(up, high - fine), 0.0)
+    roof, part, _ = first_of(table, boxes, face_list, n, plus(minus(place, hair), times(up, fine)), times(up, high - fine), 0.0)
     if roof >= 0:
         high = (fine + part * (high - fine)) / 2
-    if first_of(table, boxes, found, n, plus(place, times(up, high)), across, 0.0).face >= 0:
+    if first_of(table, boxes, face_list, n, plus(place, times(up, high)), across, 0.0).face >= 0:
         high = min(high, LIFT * body)
-        face, part, weights = first_of(table, boxes, found, n, plus(place, times(up, high)), across, 0.0)
+        face, part, weights = first_of(table, boxes, face_list, n, plus(place, times(up, high)), across, 0.0)
         if face >= 0:
-            gone = gap * min(part, 1.0)
+            distance = gap * min(part, 1.0)
             if abs(high) <= gap:
-                return _leading(table, sides, border, face, weights, out, np.sqrt(gone * gone + high * high), 0.0)
-            return _leading(table, sides, border, face, weights, out, gone, high)
+                return _leading(table, sides, border, face, weights, out, np.sqrt(distance * distance + high * high), 0.0)
+            return _leading(table, sides, border, face, weights, out, distance, high)
     over, towards = plus(place, across), times(up, -(high + most))
-    face, part, weights = first_of(table, boxes, found, n, plus(over, times(up, high)), towards, 0.0)
-    rise, gone = -most, gap
+    face, part, weights = first_of(table, boxes, face_list, n, plus(over, times(up, high)), towards, 0.0)
+    rise, distance = -most, gap
     if face >= 0:
         rise = high - part * (high + most)
         if _leads(table, sides, border, face, towards):
             # Onto the point of the face that is nearest to a place over the border no lower than its plane there.
-            there = WIDTH * face
-            normal, corner = at(table, there + NORMAL), at(table, there + CORNER)
+            face_row = WIDTH * face
+            normal, corner = at(table, face_row + NORMAL), at(table, face_row + CORNER)
             plane = dot(minus(corner, place), normal) / dot(up, normal)
             height = min(plane, high) if plane > rise else rise
             if abs(height) <= gap:
                 height = 0.0
-            above, edge1, edge2 = plus(place, times(up, height)), at(table, there + EDGE1), at(table, there + EDGE2)
+            above, edge1, edge2 = plus(place, times(up, height)), at(table, face_row + EDGE1), at(table, face_row + EDGE2)
             b1, b2, away = nearest(edge1, edge2, minus(above, corner))
             onto = minus(plus(plus(corner, times(edge1, b1)), times(edge2, b2)), above)
-            rise, gone, weights = height, away, (b1, b2)
-            first, part, nearer = first_of(table, boxes, found, n, above, onto, 0.0)
+            rise, distance, weights = height, away, (b1, b2)
+            first, part, nearer = first_of(table, boxes, face_list, n, above, onto, 0.0)
             if part * away < away - fine:
-                face, weights, gone, towards = first, nearer, part * away, onto
+                face, weights, distance, towards = first, nearer, part * away, onto
         else:
             face = -1
     if face < 0:
         lowest, towards = rise, times(out, -2 * gap)
-        for deep in (GAP * body, DEEP * body):
-            if lowest < -deep:
-                face, part, weights = first_of(table, boxes, found, n, minus(over, times(up, deep)), towards, 0.0)
+        for depth in (GAP * body, DEPTH * body):
+            if lowest < -depth:
+                face, part, weights = first_of(table, boxes, face_list, n, minus(over, times(up, depth)), towards, 0.0)
                 if face >= 0:
-                    rise, gone = -deep, abs(gap - part * (2 * gap))
+                    rise, distance = -depth, abs(gap - part * (2 * gap))
                     break
     if face < 0 or not _leads(table, sides, border, face, towards):
         return Landing(-1, (0.0, 0.0), 1.0, 0.0, 0.0, False)
     # Down at the border itself, where what was met may be met sooner; straight across to what is near.
     if rise < -gap:
         fall = times(up, rise + fine)
-        sooner, part, nearer = first_of(table, boxes, found, n, minus(plus(place, hair), times(up, fine)), fall, 0.0)
+        sooner, part, nearer = first_of(table, boxes, face_list, n, minus(plus(place, hair), times(up, fine)), fall, 0.0)
         if sooner >= 0:
             face, weights, towards = sooner, nearer, fall
-            rise, gone = part * (rise + fine) - fine, 0.0
+            rise, distance = part * (rise + fine) - fine, 0.0
     if abs(rise) <= gap:
-        return _leading(table, sides, border, face, weights, towards, np.sqrt(gone * gone + rise * rise), 0.0)
-    return _leading(table, sides, border, face, weights, towards, gone, rise)
+        return _leading(table, sides, border, face, weights, towards, np.sqrt(distance * distance + rise * rise), 0.0)
+    return _leading(table, sides, border, face, weights, towards, distance, rise)
 
 
 @inlined
 def landed(table: Array1[F64], walker: Walker, to: I64, to_side: F64) -> tuple[Direction, Direction]:
     """Return direction and heading in the frame of the face `to`, rotated with the normal."""
-    row, there = WIDTH * walker.face, WIDTH * to
-    before, after = times(at(table, row + NORMAL), walker.side), times(at(table, there + NORMAL), to_side)
+    row, other_row = WIDTH * walker.face, WIDTH * to
+    old_normal, new_normal = times(at(table, row + NORMAL), walker.side), times(at(table, other_row + NORMAL), to_side)
     direction = _in_space(table, row, walker.direction)
-    way = turned(direction, before, after, direction)
-    heading = turned(_in_space(table, row, walker.heading), before, after, direction)
-    axis1, axis2 = at(table, there + AXIS1), at(table, there + AXIS2)
-    return level(dot(axis1, way), dot(axis2, way)), level(dot(axis1, heading), dot(axis2, heading))
+    new_direction = turned(direction, old_normal, new_normal, direction)
+    heading = turned(_in_space(table, row, walker.heading), old_normal, new_normal, direction)
+    axis1, axis2 = at(table, other_row + AXIS1), at(table, other_row + AXIS2)
+    return level(dot(axis1, new_direction), dot(axis2, new_direction)), level(dot(axis1, heading), dot(axis2, heading))
 
 
 @inlined
@@ -256,18 +256,18 @@ def _side(table: Array1[F64], face: I64, towards: Vec3) -> F64:
 def _leads(table: Array1[F64], sides: Sides, border: Border, face: I64, towards: Vec3) -> BOOL:
     """Return whether an agent may step over a border to a face. It may not step to the other side of the surface it walks on, nor
     to a face that turns back below it."""
-    pieces, ways = sides
-    there = _side(table, face, towards)
-    here, other = 1 if border.side < 0 else 0, 1 if there < 0 else 0
-    alike = pieces[border.face] != pieces[face] or ways[here, border.face] == ways[other, face]
-    return alike and dot(times(at(table, WIDTH * face + NORMAL), there), border.up) > TURNED
+    pieces, side_groups = sides
+    to_side = _side(table, face, towards)
+    own_side, other = 1 if border.side < 0 else 0, 1 if to_side < 0 else 0
+    alike = pieces[border.face] != pieces[face] or side_groups[own_side, border.face] == side_groups[other, face]
+    return alike and dot(times(at(table, WIDTH * face + NORMAL), to_side), border.up) > TURNED
 
 
 @called
 def _leading(
-    table: Array1[F64], sides: Sides, border: Border, face: I64, weights: Weights, towards: Vec3, gone: F64, rise: F64
+    table: Array1[F64], sides: Sides, border: Border, face: I64, weights: Weights, towards: Vec3, distance: F64, rise: F64
 ) -> Landing:
     """What `beyond` gives, if one may step there."""
     if not _leads(table, sides, border, face, towards):
         return Landing(-1, (0.0, 0.0), 1.0, 0.0, 0.0, False)
-    return Landing(face, inside(weights[0] + 0.0, weights[1] + 0.0), _side(table, face, towards), gone, rise, False)
+    return Landing(face, inside(weights[0] + 0.0, weights[1] + 0.0), _side(table, face, towards), distance, rise, False)

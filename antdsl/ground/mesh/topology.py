@@ -81,10 +81,10 @@ def build(vertices: Floats, faces: Ints, mesh: Ints, extent: float) -> Topology:
     """Return tables for faces; `mesh` int32[m] is the mesh of each. Corners are joined within a mesh only. The tables are stored
     for other runs."""
     inputs = (vertices, faces, mesh, extent)
-    found = stored_tables.stored("topology", len(faces), inputs, partial(_tables, *inputs))
-    cut = Cuts(found.pop("first_cut"), found.pop("cut_by"))
-    link, piece = found["link"], found["piece"]
-    return Topology(**found, pieces=int(piece.max(initial=-1)) + 1, forked=bool((link[0] != link[1]).any()), cuts=cut)
+    tables = stored_tables.stored("topology", len(faces), inputs, partial(_tables, *inputs))
+    cut = Cuts(tables.pop("first_cut"), tables.pop("cut_by"))
+    link, piece = tables["link"], tables["piece"]
+    return Topology(**tables, pieces=int(piece.max(initial=-1)) + 1, forked=bool((link[0] != link[1]).any()), cuts=cut)
 
 
 def _tables(vertices: Floats, faces: Ints, mesh: Ints, extent: float) -> stored_tables.Tables:
@@ -95,12 +95,12 @@ def _tables(vertices: Floats, faces: Ints, mesh: Ints, extent: float) -> stored_
     link = _links(vertices, faces, weld, live)
     piece = _pieces(link, live)
     cut = cuts(vertices[faces], weld, piece, extent * _THROUGH)
-    way, shape = _ways(link, live, piece), _shape(vertices, faces, weld, live)
+    side_groups, shape = _side_groups(link, live, piece), _shape(vertices, faces, weld, live)
     return {
         "live": live,
         "link": link,
         "piece": piece,
-        "way": way,
+        "way": side_groups,
         "weld": weld,
         "first_cut": cut.first,
         "cut_by": cut.other,
@@ -112,7 +112,7 @@ def repose(table: Topology, vertices: Floats, faces: Ints, rows: slice) -> None:
     """Update the shape of the faces in `rows`, all those of one mesh, for moved vertices; changes the table's arrays.
     Connectivity stays. A face that lost its area keeps its normal and has zero width."""
     live, weld = table.live[rows], table.weld[rows]
-    before = {name: getattr(table, name)[:, rows].copy() for name in ("normal", "axis1", "axis2")}
+    old_frames = {name: getattr(table, name)[:, rows].copy() for name in ("normal", "axis1", "axis2")}
     edges = {name: getattr(table, name).reshape(-1, 3)[rows].copy() for name in ("edge_c", "edge_s")}
     shape = _shape(vertices, faces[rows], weld - weld.min(initial=0), live)
     flat = live & ~(np.isfinite(shape["rate1"]) & np.isfinite(shape["rate2"]) & (shape["rate2"] > 0))
@@ -124,7 +124,7 @@ def repose(table: Topology, vertices: Floats, faces: Ints, rows: slice) -> None:
             array[..., rows] = shape[name]
     if flat.any():
         at = np.flatnonzero(flat) + (rows.start or 0)
-        for name, old in before.items():
+        for name, old in old_frames.items():
             getattr(table, name)[:, at] = old[:, flat]
         for name, old in edges.items():
             getattr(table, name).reshape(-1, 3)[at] = old[flat]
@@ -216,23 +216,23 @@ def _pieces(link: Ints, live: NDArray[np.bool_]) -> Ints:
     return result
 
 
-def _ways(link: Ints, live: NDArray[np.bool_], piece: Ints) -> Ints:
+def _side_groups(link: Ints, live: NDArray[np.bool_], piece: Ints) -> Ints:
     """Return which sides of faces can be reached from each other, as a number per side and face (2, m): sides connected across
     edges. The two sides of a sheet are separate, those of a Möbius strip are not. A piece without an open border has an
     unambiguous inside and outside, even where it cuts itself: its sides share one number."""
     m = len(live)
     if not (link[0].reshape(-1, 3)[live] == NO_LINK).any():
         return np.zeros((2, m), np.int32)
-    here, there = [], []
+    from_sides, to_sides = [], []
     for side in (0, 1):
         half = np.flatnonzero(link[side] != NO_LINK)
         beyond = link[side, half].astype(np.int64)
-        here.append(half // 3 + side * m)
-        there.append((beyond >> 3) + (side ^ (beyond & 1)) * m)
+        from_sides.append(half // 3 + side * m)
+        to_sides.append((beyond >> 3) + (side ^ (beyond & 1)) * m)
     shut = np.ones(int(piece.max(initial=-1)) + 1, bool)
     shut[piece[live & (link[0].reshape(-1, 3) == NO_LINK).any(axis=1)]] = False
     closed = np.flatnonzero(live)[shut[piece[live]]]
-    one, two = np.concatenate([*here, closed]), np.concatenate([*there, closed + m])
+    one, two = np.concatenate([*from_sides, closed]), np.concatenate([*to_sides, closed + m])
     return components(np.stack([one, two], axis=1), 2 * m).reshape(2, m)
 
 

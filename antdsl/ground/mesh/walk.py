@@ -46,9 +46,9 @@ from antdsl.numerics.kernel_vectors import inside as _inside
 from antdsl.numerics.parallel import own
 
 # Values of agents that wait: rows of an array of floats, and of one of whole numbers.
-B1, B2, SIDE, C, S, HEADING_C, HEADING_S, LEFT, GONE, OVER, LENGTH, BODY, REALS = range(13)
+B1, B2, SIDE, C, S, HEADING_C, HEADING_S, LEFT, DISTANCE, OVER, LENGTH, BODY, REALS = range(13)
 AGENT, FACE, TURN, SPENT, BLOCKED, NEAR, EVENT, EDGE, WHOLES = range(9)
-LEFT_OUT, DONE, WAITS = range(3)  # how it is with an agent after the first loop; `stride` leaves some out, for `walk_all`
+LEFT_OUT, ENDS, WAITS = range(3)  # how it is with an agent after the first loop; `stride` leaves some out, for `walk_all`
 ROWS_AHEAD = 2  # eights of agents by which rows are prefetched ahead
 FETCHED = 64  # agents with rows prefetched together: as many as a processor's nearest cache holds
 
@@ -142,11 +142,11 @@ def walk_all(
     mesh, face, b1s, b2s, overs = at
     first = surface.first
     wish, heading, up = vectors
-    for some in range(begin, end, FETCHED):
-        last = min(some + FETCHED, end)
-        bring_near(surface, mesh, face, some, last)
-        for i in independent(some, last):
-            how[i] = DONE
+    for start in range(begin, end, FETCHED):
+        last = min(start + FETCHED, end)
+        bring_near(surface, mesh, face, start, last)
+        for i in independent(start, last):
+            how[i] = ENDS
             step, look, above_it = of(wish, i), of(heading, i), of(up, i)
             if mesh[i] < 0 or face[i] < 0 or not np.isfinite(b1s[i] + b2s[i] + overs[i]):
                 placed.mesh[i], placed.face[i], moved.travelled[i] = -1, -1, 0.0
@@ -184,15 +184,15 @@ def walk_on(
 ) -> None:
     """Do the same for waiting agents, `begin` to `end` (exclusive). With `straight`, paths end at open borders."""
     table, first, boxes = surface.table, surface.first, known.boxes
-    found = FaceList(known.room, own(begin, known.count, known.rooms) * boxes.order.size)
-    around = Surroundings(known.sides, boxes, known.lengths, found)
+    face_list = FaceList(known.buffer, own(begin, known.count, known.buffer_count) * boxes.order.size)
+    around = Surroundings(known.sides, boxes, known.lengths, face_list)
     for k in range(begin, end):
         i = wholes[AGENT, k]
         size = reals[BODY, k]
         high = _margin(near.noise, size) if wholes[NEAR, k] != 0 else -np.inf
         f, b1, b2, side, over = wholes[FACE, k], reals[B1, k], reals[B2, k], reals[SIDE, k], reals[OVER, k]
         walker = Walker(f, (b1, b2), side, (reals[C, k], reals[S, k]), (reals[HEADING_C, k], reals[HEADING_S, k]))
-        left, way, turn, looked = reals[LEFT, k], reals[GONE, k], wholes[TURN, k], False
+        left, distance, turn, looked = reals[LEFT, k], reals[DISTANCE, k], wholes[TURN, k], False
         event, edge, length = wholes[EVENT, k], wholes[EDGE, k], reals[LENGTH, k]
         while event:
             to = Landing(-1, (0.0, 0.0), walker.side, 0.0, 0.0, False)
@@ -214,13 +214,13 @@ def walk_on(
                     event = BORDER
                     turn -= 1  # of a step, the loop counts the stretches
                 else:
-                    over, left, way = _rise(over, 0.0, left, way)
+                    over, left, distance = _rise(over, 0.0, left, distance)
                     if over != 0:
                         left = 0.0
             if event == BORDER:
                 turn += 1
                 to = beyond(table, around, size, edge, walker)
-                over, left, way = _rise(over, to.height, left, way)
+                over, left, distance = _rise(over, to.height, left, distance)
                 if to.face < 0 and over == to.height:
                     row = WIDTH * walker.face + EDGES + 4 * edge
                     (c, s), left = along_border((table[row + EDGE_C], table[row + EDGE_S]), walker.direction, left)
@@ -230,7 +230,7 @@ def walk_on(
                     if straight or wholes[SPENT, k] >= HOPS:
                         left = 0.0
                 elif to.face < 0 or over != to.height or not left >= to.distance:
-                    if way == 0:
+                    if distance == 0:
                         wholes[BLOCKED, k] = 1
                     to, left = to._replace(face=-1), 0.0
                 else:
@@ -241,19 +241,19 @@ def walk_on(
                 direction, heading = landed(table, walker, to.face, to.side)
                 walker = Walker(to.face, to.weights, to.side, direction, heading)
                 left = max(left - to.distance, 0.0)
-                way += to.distance
+                distance += to.distance
                 wholes[SPENT, k] += 1
                 if to.stops or wholes[SPENT, k] >= HOPS:
                     left = 0.0
                     wholes[BLOCKED, k] = 1
-            walker, progress, stop = go(surface, near, high, looked, False, walker, Progress(left, way, turn))
-            left, way, turn = progress
+            walker, progress, stop = go(surface, near, high, looked, False, walker, Progress(left, distance, turn))
+            left, distance, turn = progress
             event, edge, length, _ = stop
             looked = False
-        how[i] = DONE
+        how[i] = ENDS
         mesh = int(table[WIDTH * walker.face + MESH])
         put_down(placed, i, mesh, walker.face - first[mesh], over, walker)
-        moved.travelled[i], blocked[i] = way, wholes[BLOCKED, k] != 0
+        moved.travelled[i], blocked[i] = distance, wholes[BLOCKED, k] != 0
         _put(moved, i, finish(table, walker, over))
 
 
@@ -290,18 +290,18 @@ def keep(reals: Array2[F64], wholes: Array2[I64], i: I64, body: F64, walk: Walk)
     reals[B1, i], reals[B2, i] = walker.weights
     reals[C, i], reals[S, i] = walker.direction
     reals[HEADING_C, i], reals[HEADING_S, i] = walker.heading
-    reals[LEFT, i], reals[GONE, i], wholes[TURN, i] = progress
+    reals[LEFT, i], reals[DISTANCE, i], wholes[TURN, i] = progress
     wholes[FACE, i], wholes[EVENT, i], wholes[EDGE, i] = walker.face, stop.event, stop.edge
 
 
 @inlined
-def _rise(over: F64, level: F64, left: F64, way: F64) -> tuple[F64, F64, F64]:
+def _rise(over: F64, level: F64, left: F64, distance: F64) -> tuple[F64, F64, F64]:
     """Rise or sink over a border to a level (mm above the current face), limited by the distance left. Returns the new height,
     and the distance left and travelled."""
     most = level - over
     climb = min(abs(most), left)
     to = level if climb >= abs(most) else over + (-climb if most < 0 else climb)
-    return to, left - climb, way + climb
+    return to, left - climb, distance + climb
 
 
 @inlined

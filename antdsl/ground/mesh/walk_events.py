@@ -111,7 +111,7 @@ class CrowdWalk:
 
     def on(
         self,
-        some: Waiting,
+        waiting: Waiting,
         how: NDArray[np.uint8],
         placed: walkers.Placed,
         moved: walkers.Moved,
@@ -120,7 +120,7 @@ class CrowdWalk:
         straight: bool = False,
     ) -> NDArray[np.int64]:
         """Move waiting agents to footings `placed` and poses `moved`, and mark those that are `blocked`; return their rows."""
-        reals, wholes = some.reals, some.wholes
+        reals, wholes = waiting.reals, waiting.wholes
         rows: NDArray[np.int64] = wholes[loop.AGENT]
         if not rows.size:
             return rows
@@ -128,8 +128,8 @@ class CrowdWalk:
         sides, cuts = walkers.Sides(table.piece, table.way), walkers.Cuts(table.cuts.first, table.cuts.other)
         count = wholes.shape[1]
         parts = parallel.parts(count, threads, _WAITING)
-        room = np.empty(parts * boxes.order.size, np.int64)
-        known = walkers.Pieces(sides, cuts, boxes.tree(), scale.lengths(), room, parts, count)
+        buffer = np.empty(parts * boxes.order.size, np.int64)
+        known = walkers.Pieces(sides, cuts, boxes.tree(), scale.lengths(), buffer, parts, count)
         further = partial(loop.walk_on, *self.tables(), known, straight, reals, wholes, how, placed, moved, blocked)
         parallel.in_parts(further, count, threads, _WAITING)
         return rows

@@ -32,10 +32,11 @@ class Clearances(NamedTuple):
 
 
 class Sides(NamedTuple):
-    """`piece` and `way` of the topology: the piece of each face, and a connectivity number for both sides of each face."""
+    """`piece` and `side_groups` of the topology: the piece of each face, and a connectivity number for both sides of each
+    face."""
 
     piece: Array1[I32]
-    way: Array2[I32]
+    side_groups: Array2[I32]
 
 
 class Cuts(NamedTuple):
@@ -60,7 +61,7 @@ class Surroundings(NamedTuple):
     sides: Sides
     boxes: Tree
     lengths: Lengths
-    found: FaceList
+    face_list: FaceList
 
 
 class Walker(NamedTuple):
@@ -103,15 +104,15 @@ class Landing(NamedTuple):
 
 
 class Pieces(NamedTuple):
-    """The data searched for other pieces. `room` is a buffer of `rooms` parts, each for all faces; `count` is the number of
-    agents."""
+    """The data searched for other pieces. `buffer` is a buffer of `buffer_count` parts, each for all faces; `count` is the number
+    of agents."""
 
     sides: Sides
     cuts: Cuts
     boxes: Tree
     lengths: Lengths
-    room: Array1[I64]
-    rooms: I64
+    buffer: Array1[I64]
+    buffer_count: I64
     count: I64
 
 

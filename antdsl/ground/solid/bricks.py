@@ -18,7 +18,7 @@ SIDE = 16  # nodes along the edge of a brick
 CUBE = SIDE**3
 AIR, SOLID = 0, 1  # slots that many bricks share
 STEPS = 256  # in which a voxel is filled
-WHOLE = (1 << 64) - 1
+MASK64 = (1 << 64) - 1
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,14 +65,14 @@ class Bricks:
 
     @property
     def nbytes(self) -> int:
-        kept = sum(values.nbytes for values in self.touched.values() if values is not None)
-        return self.table.nbytes + self.values.nbytes + self.fresh.nbytes + kept
+        touched_bytes = sum(values.nbytes for values in self.touched.values() if values is not None)
+        return self.table.nbytes + self.values.nbytes + self.fresh.nbytes + touched_bytes
 
     def dense(self) -> NDArray[np.float32]:
         """The distances of all nodes, float32[x, y, z]."""
         pool = self.values[: self.used * CUBE].reshape(-1, SIDE, SIDE, SIDE)
-        whole = pool[self.table.reshape(self.shape)]
-        return np.ascontiguousarray(whole.transpose(0, 3, 1, 4, 2, 5).reshape(self.nodes))
+        blocks = pool[self.table.reshape(self.shape)]
+        return np.ascontiguousarray(blocks.transpose(0, 3, 1, 4, 2, 5).reshape(self.nodes))
 
     def begin(self) -> None:
         """Measure the solid volume and store it as the start value."""
@@ -81,9 +81,9 @@ class Bricks:
         self.steps = self.steps_at_start = int(filled.take(self.table).sum())
         self.fresh = np.zeros(self.table.size, bool)
         self.mark_fresh(np.flatnonzero(self.table >= 2))
-        whole = sha256(np.array([*self.origin, self.voxel, self.least, self.most, *self.shape], np.float64).tobytes())
-        whole.update(self.table.tobytes() + used.tobytes())
-        self.started = whole.digest()
+        hasher = sha256(np.array([*self.origin, self.voxel, self.least, self.most, *self.shape], np.float64).tobytes())
+        hasher.update(self.table.tobytes() + used.tobytes())
+        self.started = hasher.digest()
 
     def open(self, bricks: Index) -> None:
         """Prepare bricks for writing: each gets its own nodes. `bricks` are ascending, each once."""
@@ -102,11 +102,11 @@ class Bricks:
         self.mark_fresh(bricks)
 
     def _grow(self, slots: int) -> None:
-        room = self.values.size // CUBE
-        if slots > room:
-            more = np.empty(max(slots, room + room // 4) * CUBE, np.float32)
-            more[: self.used * CUBE] = self.values[: self.used * CUBE]
-            self.values = more
+        capacity = self.values.size // CUBE
+        if slots > capacity:
+            new_values = np.empty(max(slots, capacity + capacity // 4) * CUBE, np.float32)
+            new_values[: self.used * CUBE] = self.values[: self.used * CUBE]
+            self.values = new_values
 
     # ---- keeping
 
@@ -141,7 +141,7 @@ class Bricks:
         pool = self.values.reshape(-1, CUBE)
         slots = self.table[bricks]
         nodes = (bricks.astype(np.int64) << 12)[:, None] + np.arange(CUBE)
-        self.mark = int((mixed(nodes, values) - mixed(nodes, pool[slots])).sum(dtype=np.uint64)) & WHOLE
+        self.mark = int((mixed(nodes, values) - mixed(nodes, pool[slots])).sum(dtype=np.uint64)) & MASK64
         pool[slots] = values
         self.touched = {brick: was for brick, was in self.touched.items() if brick in set(bricks.tolist())}
         self.steps = int(arrays["steps"])

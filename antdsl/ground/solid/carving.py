@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.ground.solid.bricks import AIR, CUBE, SIDE, STEPS, WHOLE, Bricks
+from antdsl.ground.solid.bricks import AIR, CUBE, MASK64, SIDE, STEPS, Bricks
 from antdsl.machine_code.kernels import F32, F64, I32, I64, U32, U64, Array1, Array2, inlined, kernel
 
 Floats = NDArray[np.float64]
@@ -87,11 +87,11 @@ def _great(bricks: Bricks, centres: Floats, radii: Floats, ball: int) -> Pairs:
     ends = []
     for axis in range(3):
         low, high = (
-            (centre[axis] + way * (radius - bricks.least) - bricks.origin[axis]) / bricks.voxel / SIDE for way in (-1, 1)
+            (centre[axis] + sign * (radius - bricks.least) - bricks.origin[axis]) / bricks.voxel / SIDE for sign in (-1, 1)
         )
         ends.append(np.arange(math.floor(max(low, 0.0)), math.floor(min(high, bricks.shape[axis] - 1.0)) + 1))
     line = np.arange(SIDE)
-    found = []
+    change_pairs = []
     for i, j, k in itertools.product(*ends):
         brick = (i * bricks.shape[1] + j) * bricks.shape[2] + k
         slot = int(bricks.table[brick])
@@ -104,16 +104,16 @@ def _great(bricks: Bricks, centres: Floats, radii: Floats, ball: int) -> Pairs:
         away = ((squares[0][:, None, None] + squares[1][:, None]) + squares[2]).ravel()
         value = np.minimum((radius - np.sqrt(away)).astype(np.float32), np.float32(bricks.most))
         changes = np.flatnonzero(value > bricks.values[slot * CUBE : (slot + 1) * CUBE])
-        found.append((brick * CUBE + changes, value[changes]))
-    nodes = np.concatenate([np.empty(0, np.int64), *(n for n, _ in found)])
-    values = np.concatenate([np.empty(0, np.float32), *(v for _, v in found)])
+        change_pairs.append((brick * CUBE + changes, value[changes]))
+    nodes = np.concatenate([np.empty(0, np.int64), *(n for n, _ in change_pairs)])
+    values = np.concatenate([np.empty(0, np.float32), *(v for _, v in change_pairs)])
     return nodes, values, np.full(nodes.size, ball, np.int64)
 
 
 def _small(bricks: Bricks, centres: Floats, radii: Floats, rows: Index, steps: Index) -> Pairs:
     """What small balls change."""
-    room = int(((2 * steps + 2) ** 3).sum())
-    nodes, values, balls = np.empty(room, np.int64), np.empty(room, np.float32), np.empty(room, np.int64)
+    capacity = int(((2 * steps + 2) ** 3).sum())
+    nodes, values, balls = np.empty(capacity, np.int64), np.empty(capacity, np.float32), np.empty(capacity, np.int64)
     tables = (bricks.table, bricks.values, bricks.origin, bricks.voxel, bricks.shape, bricks.least, bricks.most)
     count = reach(tables, (centres, radii), rows, steps, (nodes, values, balls))
     return nodes[:count], values[:count], balls[:count]
@@ -121,22 +121,22 @@ def _small(bricks: Bricks, centres: Floats, radii: Floats, rows: Index, steps: I
 
 def _write(bricks: Bricks, at: Index, reached: Reached, count: int) -> Index:
     """Store the maximum of the new distances in each node. Return the volume steps that each ball removed."""
-    before = bricks.values.take(at)
+    old_values = bricks.values.take(at)
     lost = np.zeros(count, np.int64)
     best = np.full(1 << (2 * at.size - 1).bit_length(), -1, np.int32)
-    bits = (reached.values.view(np.uint32), before.view(np.uint32))
-    found = (reached.nodes, reached.values, reached.balls)
-    bricks.mark += write(bricks.values, at, found, before, bits, 1.0 / bricks.voxel, best, lost)
-    bricks.mark &= WHOLE
+    bits = (reached.values.view(np.uint32), old_values.view(np.uint32))
+    changes = (reached.nodes, reached.values, reached.balls)
+    bricks.mark += write(bricks.values, at, changes, old_values, bits, 1.0 / bricks.voxel, best, lost)
+    bricks.mark &= MASK64
     return lost
 
 
 @kernel
-def reach(bricks: Grid, all_balls: Balls, rows: Array1[I64], steps: Array1[I64], found: Changes) -> I64:
-    """Fill `found` with the changes of the balls `rows`, each within `steps` voxels. Return their number."""
+def reach(bricks: Grid, all_balls: Balls, rows: Array1[I64], steps: Array1[I64], changes: Changes) -> I64:
+    """Fill `changes` with the changes of the balls `rows`, each within `steps` voxels. Return their number."""
     table, values, origin, voxel, shape, least, most = bricks
     centres, radii = all_balls
-    nodes, news, balls = found
+    nodes, news, balls = changes
     count = 0
     for row in range(rows.size):
         ball = rows[row]
@@ -178,8 +178,8 @@ def reach(bricks: Grid, all_balls: Balls, rows: Array1[I64], steps: Array1[I64],
 def write(
     values: Array1[F32],
     at: Array1[I64],
-    found: Changes,
-    before: Array1[F32],
+    changes: Changes,
+    old_values: Array1[F32],
     bits: tuple[Array1[U32], Array1[U32]],
     scale: F32,
     best: Array1[I32],
@@ -188,25 +188,25 @@ def write(
     """Store the greatest new value at each index `at`, count in `lost` what each ball removed, and return the change of the
     bricks' mark.
 
-    `bits` are the bits of the new distances and of those `before`. `best` is a hash table of row numbers; its size is a power of
-    two, and all entries start at -1."""
-    nodes, news, balls = found
-    news_bits, before_bits = bits
-    room = best.size
+    `bits` are the bits of the new distances and of those `old_values`. `best` is a hash table of row numbers; its size is a power
+    of two, and all entries start at -1."""
+    nodes, news, balls = changes
+    news_bits, old_bits = bits
+    capacity = best.size
     for row in range(at.size):
-        slot = np.int64((np.uint64(at[row]) * _SCATTER) >> np.uint64(32)) & (room - 1)
+        slot = np.int64((np.uint64(at[row]) * _SCATTER) >> np.uint64(32)) & (capacity - 1)
         while best[slot] >= 0 and at[best[slot]] != at[row]:
-            slot = (slot + 1) & (room - 1)
+            slot = (slot + 1) & (capacity - 1)
         now = best[slot]
         if now < 0 or news[row] > news[now] or (news[row] == news[now] and balls[row] < balls[now]):
             best[slot] = row
     mark = np.uint64(0)
-    for place in range(room):
+    for place in range(capacity):
         last = best[place]
         if last >= 0:
             values[at[last]] = news[last]
-            lost[balls[last]] += _filled(before[last], scale) - _filled(news[last], scale)
-            mark += _mixed(nodes[last], news_bits[last]) - _mixed(nodes[last], before_bits[last])
+            lost[balls[last]] += _filled(old_values[last], scale) - _filled(news[last], scale)
+            mark += _mixed(nodes[last], news_bits[last]) - _mixed(nodes[last], old_bits[last])
     return mark
 
 

@@ -107,9 +107,9 @@ class _Field:
 
     def nearer(self) -> Index:
         """Return the places that became nearer since the last call."""
-        found = np.flatnonzero(self._nearer)
-        self._nearer[found] = False
-        return found
+        changed_nodes = np.flatnonzero(self._nearer)
+        self._nearer[changed_nodes] = False
+        return changed_nodes
 
     def columns(self, at: Index) -> list[Index]:
         """Which nodes places in the arrays stand for."""
@@ -142,8 +142,8 @@ class _Field:
         inside &= slot >= 0
         at = (slot << 12) + (((x & 15) << 8) + ((y & 15) << 4) + (z & 15))
         if new:
-            here = np.where(inside, at, 0)
-            inside &= (self.away.take(here) > EXACT) & (self.nearest.take(here) != triangle)
+            safe_index = np.where(inside, at, 0)
+            inside &= (self.away.take(safe_index) > EXACT) & (self.nearest.take(safe_index) != triangle)
         rows = np.flatnonzero(inside)
         at, triangle = at[rows], triangle[rows]
         away = _away(self._triangles, triangle, [x[rows], y[rows], z[rows]])

@@ -18,7 +18,7 @@ SETTLING = 60
 FLAT = 0.01  # square of a gradient that says nothing about the way
 Floats = NDArray[np.float64]
 Grid = tuple[Array1[I32], Array1[F32], F64, F64, F64, F64, I64, I64, I64]  # table, values, origin, voxel and shape of bricks
-Places = tuple[Array1[F64], Array1[F64], Array1[F64]]
+Columns64 = tuple[Array1[F64], Array1[F64], Array1[F64]]
 
 LEAN = 0.5  # voxels: how far around a place the smooth normal looks, each way, where no body says more
 
@@ -30,15 +30,15 @@ def grid_of(bricks: Bricks) -> tuple[Any, ...]:
 
 def distance(bricks: Bricks, x: Floats, y: Floats, z: Floats) -> Floats:
     """Signed distance at places (mm)."""
-    found = np.empty(len(x))
-    distances(grid_of(bricks), _whole(x, y, z), found)
-    return found
+    signed_distances = np.empty(len(x))
+    distances(grid_of(bricks), _contiguous_columns(x, y, z), signed_distances)
+    return signed_distances
 
 
 def field(bricks: Bricks, x: Floats, y: Floats, z: Floats) -> tuple[Floats, Floats, Floats, Floats]:
     """Signed distance at places (mm), and its gradient."""
     d, gx, gy, gz = np.empty((4, len(x)))
-    fields(grid_of(bricks), _whole(x, y, z), d, (gx, gy, gz))
+    fields(grid_of(bricks), _contiguous_columns(x, y, z), d, (gx, gy, gz))
     return d, gx, gy, gz
 
 
@@ -54,23 +54,23 @@ def smooth(bricks: Bricks, x: Floats, y: Floats, z: Floats, lean: float = LEAN) 
     ]
 
 
-def _whole(*columns: Floats) -> list[Floats]:
+def _contiguous_columns(*columns: Floats) -> list[Floats]:
     """Return columns as kernels need them: contiguous in memory, all of one type."""
     return [np.ascontiguousarray(c, np.float64) for c in columns]
 
 
 @kernel
-def distances(bricks: Grid, places: Places, found: Array1[F64]) -> None:
-    """Fill `found` with the signed distances at points."""
-    x, y, z = places
-    for n in range(found.size):
-        found[n] = distance_at(bricks[0], bricks[1], bricks[2:], (x[n], y[n], z[n]))
+def distances(bricks: Grid, positions: Columns64, signed_distances: Array1[F64]) -> None:
+    """Fill `signed_distances` with the signed distances at points."""
+    x, y, z = positions
+    for n in range(signed_distances.size):
+        signed_distances[n] = distance_at(bricks[0], bricks[1], bricks[2:], (x[n], y[n], z[n]))
 
 
 @kernel
-def fields(bricks: Grid, places: Places, d: Array1[F64], gradient: Places) -> None:
+def fields(bricks: Grid, positions: Columns64, d: Array1[F64], gradient: Columns64) -> None:
     """Fill `d` with the signed distances at points, and `gradient` with the gradient there."""
-    x, y, z = places
+    x, y, z = positions
     gx, gy, gz = gradient
     for n in range(d.size):
         d[n], (gx[n], gy[n], gz[n]) = field_at(bricks[0], bricks[1], bricks[2:], (x[n], y[n], z[n]))
@@ -166,18 +166,18 @@ class Projected:
 
     points: Floats
     normals: Floats
-    found: NDArray[np.bool_]
+    is_in_reach: NDArray[np.bool_]
 
 
 def project(bricks: Bricks, points: Floats, hints: Floats, reach: float | None = None) -> Projected:
     """Project points as `Volume.project` does; without a result, the point and its hint stay."""
     start = np.array(points, np.float64, order="C").reshape(-1, 3)
     hint = np.array(np.broadcast_to(np.asarray(hints, np.float64), start.shape), order="C")
-    landed, turned, found = np.empty_like(start), np.empty_like(start), np.empty(len(start), np.bool_)
-    settle(grid_of(bricks), start, hint, CLOSE * bricks.voxel, landed, turned, found)
+    landed, turned, is_in_reach = np.empty_like(start), np.empty_like(start), np.empty(len(start), np.bool_)
+    settle(grid_of(bricks), start, hint, CLOSE * bricks.voxel, landed, turned, is_in_reach)
     far = 2 * bricks.voxel if reach is None else float(reach)
-    found &= ((landed - start) ** 2).sum(axis=1) <= far * far
-    return Projected(np.where(found[:, None], landed, start), np.where(found[:, None], turned, hint), found)
+    is_in_reach &= ((landed - start) ** 2).sum(axis=1) <= far * far
+    return Projected(np.where(is_in_reach[:, None], landed, start), np.where(is_in_reach[:, None], turned, hint), is_in_reach)
 
 
 @kernel
@@ -186,16 +186,16 @@ def settle(
     start: Array2[F64],
     hints: Array2[F64],
     close: F64,
-    places: Array2[F64],
+    positions: Array2[F64],
     normals: Array2[F64],
-    found: Array1[BOOL],
+    is_settled: Array1[BOOL],
 ) -> None:
     """Apply `settle_at` to points and hints [n,3]; write the results to the last three arrays."""
-    for i in range(found.size):
+    for i in range(is_settled.size):
         p, hint = (start[i, 0], start[i, 1], start[i, 2]), (hints[i, 0], hints[i, 1], hints[i, 2])
-        found[i], q, normal = settle_at(bricks[0], bricks[1], bricks[2:], p, hint, close)
+        is_settled[i], q, normal = settle_at(bricks[0], bricks[1], bricks[2:], p, hint, close)
         for k in range(3):
-            places[i, k], normals[i, k] = q[k], normal[k]
+            positions[i, k], normals[i, k] = q[k], normal[k]
 
 
 @called

@@ -39,8 +39,8 @@ class Volume:
         Inside means that the winding number is not 0 (odd parity, when the faces have inconsistent winding). `cap` is the maximum
         number of voxels in the mesh's bounding box. A mesh that cannot be a solid (open, too many voxels) is returned as
         `Unusable`."""
-        made = voxelising.voxelise(np.asarray(vertices, np.float64), np.asarray(faces, np.int64), float(voxel), cap)
-        return made if isinstance(made, Unusable) else Volume(made)
+        bricks = voxelising.voxelise(np.asarray(vertices, np.float64), np.asarray(faces, np.int64), float(voxel), cap)
+        return bricks if isinstance(bricks, Unusable) else Volume(bricks)
 
     @property
     def voxel(self) -> float:
@@ -156,10 +156,10 @@ def _columns(points: Floats) -> tuple[Floats, Floats, Floats]:
 
 def surface(bricks: Bricks, changed_only: bool) -> Iterator[Piece]:
     """As `Volume.surface`."""
-    asked = np.flatnonzero(bricks.fresh) if changed_only else np.arange(bricks.table.size)
+    chosen_bricks = np.flatnonzero(bricks.fresh) if changed_only else np.arange(bricks.table.size)
     if not changed_only:
-        asked = np.flatnonzero(_reaching(bricks))
-    for brick in asked:
+        chosen_bricks = np.flatnonzero(_reaching(bricks))
+    for brick in chosen_bricks:
         bricks.fresh[brick] = False
         yield _piece(bricks, int(brick))
 
@@ -204,5 +204,5 @@ def _piece(bricks: Bricks, brick: int) -> Piece:
     cut: Any = marching_cubes
     vertices, faces, _, _ = cut(values, 0.0, gradient_direction="descent", allow_degenerate=False)
     corner = np.stack(np.unravel_index(brick, bricks.shape)).astype(np.float64) * SIDE
-    places = np.round(vertices.astype(np.float64) * _GRAIN) / _GRAIN + corner
-    return brick, bricks.origin + places * bricks.voxel, np.ascontiguousarray(faces, np.int32)
+    grid_points = np.round(vertices.astype(np.float64) * _GRAIN) / _GRAIN + corner
+    return brick, bricks.origin + grid_points * bricks.voxel, np.ascontiguousarray(faces, np.int32)

@@ -21,7 +21,7 @@ Index = NDArray[np.int64]
 _IN, _OUT = 1.75, 4.0  # voxels of the band inside and outside; a cell that the surface crosses has corners within 1.733
 _ASIDE = (0.37, 0.41, 0.43)  # voxels
 _BLOCK = 4.0  # voxels
-_ROOM = 24  # bytes of memory for each node near the surface while distances are found
+_NODE_BYTES = 24  # bytes of memory for each node near the surface while distances are found
 
 
 def voxelise(vertices: Floats, faces: Index, voxel: float, cap: int) -> Bricks | Unusable:
@@ -36,10 +36,10 @@ def voxelise(vertices: Floats, faces: Index, voxel: float, cap: int) -> Bricks |
     low, high = corners.min(axis=(0, 1)), corners.max(axis=(0, 1))
     sides = (high - low) / voxel
     shape = tuple(math.ceil((float(side) + 2 * _OUT + 4.0) / SIDE) for side in sides)
-    wanted = float(np.prod(sides + 1))
+    voxel_count = float(np.prod(sides + 1))
     # A thin sheet or a rod needs room for whole bricks.
-    if wanted > cap or float(np.prod(shape)) * CUBE > 8.0 * cap:
-        return _too_many(max(wanted, float(np.prod(shape)) * CUBE / 8), cap, voxel)
+    if voxel_count > cap or float(np.prod(shape)) * CUBE > 8.0 * cap:
+        return _too_many(max(voxel_count, float(np.prod(shape)) * CUBE / 8), cap, voxel)
     # Not a whole number of voxels from the mesh: sides of a box would run through nodes, where the field has no clear slope.
     origin = low - (_OUT + 1.0 + np.array(_ASIDE)) * voxel
     corners = (corners - origin) / voxel
@@ -58,18 +58,20 @@ def voxelise(vertices: Floats, faces: Index, voxel: float, cap: int) -> Bricks |
         used=2,
     )
     near = _near(bricks, corners)
-    if near.size * CUBE * _ROOM > limits.GRID_BYTES:
-        return _too_many(float(near.size) * CUBE, limits.GRID_BYTES // _ROOM, voxel)
+    if near.size * CUBE * _NODE_BYTES > limits.GRID_BYTES:
+        return _too_many(float(near.size) * CUBE, limits.GRID_BYTES // _NODE_BYTES, voxel)
     _fill(bricks, shell, near, corners)
     bricks.begin()
     return bricks
 
 
-def _too_many(wanted: float, cap: float, voxel: float) -> Unusable:
-    least = voxel * max((wanted / cap) ** (1 / 3), 1.1)
+def _too_many(voxel_count: float, cap: float, voxel: float) -> Unusable:
+    least = voxel * max((voxel_count / cap) ** (1 / 3), 1.1)
     digits = 1 - math.floor(math.log10(least))
     size = math.ceil(least * 10**digits) / 10**digits
-    return Unusable(f"{wanted:,.0f} voxels of {voxel:g} mm are more than {cap:,.0f}", f"take larger ones: `voxel: {size:g} mm`")
+    return Unusable(
+        f"{voxel_count:,.0f} voxels of {voxel:g} mm are more than {cap:,.0f}", f"take larger ones: `voxel: {size:g} mm`"
+    )
 
 
 def _near(bricks: Bricks, corners: Floats) -> Index:
@@ -94,15 +96,15 @@ def _fill(bricks: Bricks, shell: Shell, near: Index, corners: Floats) -> None:
     np.minimum(away, np.float32(_OUT), out=away)
     np.negative(away, out=away, where=inside)
     np.maximum(away, np.float32(-_IN), out=away)
-    kept = np.flatnonzero((away != away[:, :1]).any(axis=1))
+    mixed_bricks = np.flatnonzero((away != away[:, :1]).any(axis=1))
     bricks.table[:] = np.where(flags, SOLID, AIR)
-    bricks.table[near[kept]] = np.arange(2, 2 + kept.size)
-    bricks.values = np.empty((2 + kept.size) * CUBE, np.float32)
+    bricks.table[near[mixed_bricks]] = np.arange(2, 2 + mixed_bricks.size)
+    bricks.values = np.empty((2 + mixed_bricks.size) * CUBE, np.float32)
     pool = bricks.values.reshape(-1, CUBE)
-    np.multiply(away[kept], np.float32(bricks.voxel), out=pool[2:])
+    np.multiply(away[mixed_bricks], np.float32(bricks.voxel), out=pool[2:])
     np.clip(pool[2:], np.float32(bricks.least), np.float32(bricks.most), out=pool[2:])
     pool[AIR], pool[SOLID] = bricks.most, bricks.least
-    bricks.used = 2 + kept.size
+    bricks.used = 2 + mixed_bricks.size
 
 
 class Shell:
@@ -119,12 +121,12 @@ def brick_signs(shell: Shell, shape: tuple[int, int, int], near: Index) -> tuple
     (ascending), bool[len(near), 4096].
 
     Inside means that the winding number is not 0, or is odd where faces have inconsistent winding."""
-    x, y, z, way = _crossings(shell)
+    x, y, z, windings = _crossings(shell)
     nodes = [n * SIDE for n in shape]
     slab = x >> 4
     order = np.argsort(slab, kind="stable")
     place = (((x & 15) * nodes[1] + y) * nodes[2] + z)[order]
-    way = way[order]
+    windings = windings[order]
     ends = np.searchsorted(slab[order], np.arange(shape[0] + 1))
     flags = np.zeros(shape, bool)
     inside = np.zeros((near.size, CUBE), bool)
@@ -133,7 +135,7 @@ def brick_signs(shell: Shell, shape: tuple[int, int, int], near: Index) -> tuple
     count = np.zeros(SIDE * nodes[1] * nodes[2], np.int16)
     for s in range(shape[0]):
         count[:] = 0
-        np.add.at(count, place[ends[s] : ends[s + 1]], way[ends[s] : ends[s + 1]])
+        np.add.at(count, place[ends[s] : ends[s + 1]], windings[ends[s] : ends[s + 1]])
         wound = np.cumsum(count.reshape(SIDE * nodes[1], nodes[2]), axis=1, dtype=np.int16)
         within = (wound != 0 if shell.wound else wound % 2 != 0).reshape(SIDE, shape[1], SIDE, shape[2], SIDE)
         flags[s] = within[0, :, 0, :, 0]
@@ -148,12 +150,12 @@ def _crossings(shell: Shell) -> tuple[Index, Index, Index, NDArray[np.int16]]:
     grain = shell.grain
     low = -((-tri.min(axis=1)) // grain)
     count = tri.max(axis=1) // grain - low + 1
-    found = [_crossed(tri, grain, *places) for places in boxes(low[:, :2], count[:, :2], _PIECE)]
-    if not found:
+    crossings = [_crossed(tri, grain, *box) for box in boxes(low[:, :2], count[:, :2], _PIECE)]
+    if not crossings:
         none = np.empty(0, np.int64)
         return none, none, none, np.empty(0, np.int16)
-    x, y, z, way = (np.concatenate(parts) for parts in zip(*found, strict=True))
-    return x, y, z, way
+    x, y, z, windings = (np.concatenate(parts) for parts in zip(*crossings, strict=True))
+    return x, y, z, windings
 
 
 def _crossed(tri: Index, grain: int, t: Index, x: Index, y: Index) -> tuple[Index, Index, Index, NDArray[np.int16]]:

@@ -23,7 +23,7 @@ FARTHER = 1.3  # lengths of one step that it may lead at most
 EDGE = 0.1  # voxels of a step so short that a sharp turn is an edge and no other wall
 NEWTON = 4
 BISECTIONS = 24
-DONE = 1e-6  # voxels of way left that are none
+LEFT_TOLERANCE = 1e-6  # voxels of way left that are none
 CROSSINGS = 400  # steps of one move
 STANCE = 0.4  # of a body: how far around its place the normal that it stands by looks, each way
 THIN = 0.1  # length of that gradient below which it says nothing: the normal of the place itself is taken
@@ -51,11 +51,11 @@ def move(
     close = np.clip(3e-5 * body, CLOSE * bricks.voxel, 1e-3 * bricks.voxel)
     with np.errstate(over="ignore", invalid="ignore"):
         lean = stance(bricks, body)
-    vectors, gone = np.empty((4, 3, count)), np.empty(count)
+    vectors, distances = np.empty((4, 3, count)), np.empty(count)
     blocked, lost = np.empty(count, bool), np.empty(count, bool)
-    walk_all(grid_of(bricks), *columns, np.ascontiguousarray(close), lean, vectors, gone, blocked, lost)
-    place, stood, head, way = (v.T for v in vectors)
-    return Move(Footing.on_solids(number, place), place, stood, head, way, gone, blocked, lost)
+    walk_all(grid_of(bricks), *columns, np.ascontiguousarray(close), lean, vectors, distances, blocked, lost)
+    place, stance_up, head, direction = (v.T for v in vectors)
+    return Move(Footing.on_solids(number, place), place, stance_up, head, direction, distances, blocked, lost)
 
 
 def stance(bricks: Bricks, body: Floats) -> Floats:
@@ -72,35 +72,35 @@ def walk_all(
     up: Vectors,
     close: Array1[F64],
     lean: Array1[F64],
-    found: Array3[F64],
-    gone: Array1[F64],
+    results: Array3[F64],
+    distances: Array1[F64],
     blocked: Array1[BOOL],
     lost: Array1[BOOL],
 ) -> None:
     """Move all agents. Inputs (3, n): positions, steps, headings and up vectors.
 
     `close` is the tolerance to the surface, `lean` the radius over which normals are measured. Results: position, up, heading and
-    direction go to `found` (4, 3, n), the travelled distance to `gone`, and the flags to `blocked` and `lost`."""
+    direction go to `results` (4, 3, n), the travelled distance to `distances`, and the flags to `blocked` and `lost`."""
     table, values = bricks[:2]
     grid = bricks[2:]
-    for i in range(gone.size):
+    for i in range(distances.size):
         if i % _AHEAD == 0:
-            gone[i] = _touch(table, values, grid, points, i, min(i + _AHEAD, gone.size))
+            distances[i] = _touch(table, values, grid, points, i, min(i + _AHEAD, distances.size))
         start = (points[0, i], points[1, i], points[2, i])
-        before = (up[0, i], up[1, i], up[2, i])
+        old_up = (up[0, i], up[1, i], up[2, i])
         head = (heading[0, i], heading[1, i], heading[2, i])
         wish = (steps[0, i], steps[1, i], steps[2, i])
         if not np.isfinite(wish[0] + wish[1] + wish[2]):
             wish = (0.0, 0.0, 0.0)
-        normal = _unit(slope_at(table, values, grid, LEAN, start), before)
-        wish = _turned(wish, before, normal, head)
-        p, n, way, gone[i], blocked[i], lost[i] = _walk(table, values, grid, start, normal, wish, close[i])
+        normal = _unit(slope_at(table, values, grid, LEAN, start), old_up)
+        wish = _turned(wish, old_up, normal, head)
+        p, n, direction, distances[i], blocked[i], lost[i] = _walk(table, values, grid, start, normal, wish, close[i])
         slope = slope_at(table, values, grid, lean[i], p)
-        stood = _unit(slope, n) if dot(slope, slope) > THIN * THIN else n
-        head, _ = _laid(_turned(head, before, stood, head), stood)
-        way, _ = _laid(_turned(way, n, stood, way), stood)
+        stance_up = _unit(slope, n) if dot(slope, slope) > THIN * THIN else n
+        head, _ = _laid(_turned(head, old_up, stance_up, head), stance_up)
+        direction, _ = _laid(_turned(direction, n, stance_up, direction), stance_up)
         for k in range(3):
-            found[0, k, i], found[1, k, i], found[2, k, i], found[3, k, i] = p[k], stood[k], head[k], way[k]
+            results[0, k, i], results[1, k, i], results[2, k, i], results[3, k, i] = p[k], stance_up[k], head[k], direction[k]
 
 
 @called
@@ -125,7 +125,7 @@ class Trip(NamedTuple):
 
     place: Vec3
     normal: Vec3
-    way: Vec3
+    direction: Vec3
     length: F64
     blocked: BOOL
     lost: BOOL
@@ -143,40 +143,40 @@ def _walk(
 ) -> Trip:
     """All steps of one agent."""
     voxel = grid[3]
-    way, flat = _laid(wish, n)
+    direction, flat = _laid(wish, n)
     left = min(np.sqrt(dot(wish, wish)), 2 * flat)
     stride, walked = STRIDE, 0.0
     settled, blocked = False, False
     if not left > 0:
-        found, p, after = settle_at(table, values, grid, p, n, close)
-        if not found:
-            return Trip(p, n, way, walked, False, True)
-        way = _turn(way, n, after)
-        return Trip(p, after, way, walked, False, False)
+        is_settled, p, new_normal = settle_at(table, values, grid, p, n, close)
+        if not is_settled:
+            return Trip(p, n, direction, walked, False, True)
+        direction = _turn(direction, n, new_normal)
+        return Trip(p, new_normal, direction, walked, False, False)
     for _ in range(CROSSINGS):
         if not left > 0:
             break
         length = min(left, stride * voxel)
-        q, g, d = _onto(table, values, grid, p, n, way, length, close)
-        after = _unit(g, n)
+        q, g, d = _onto(table, values, grid, p, n, direction, length, close)
+        new_normal = _unit(g, n)
         middle = distance_at(table, values, grid, ((p[0] + q[0]) * 0.5, (p[1] + q[1]) * 0.5, (p[2] + q[2]) * 0.5))
-        went = (q[0] - p[0], q[1] - p[1], q[2] - p[2])
+        displacement = (q[0] - p[0], q[1] - p[1], q[2] - p[2])
         far = FARTHER * length
-        good = dot(went, went) <= far * far and abs(d) <= close and abs(middle) <= OFF * voxel
-        if good and (length <= EDGE * voxel or dot(after, n) > BACK):
-            way = _turn(way, n, after)
-            p, n = q, after
+        good = dot(displacement, displacement) <= far * far and abs(d) <= close and abs(middle) <= OFF * voxel
+        if good and (length <= EDGE * voxel or dot(new_normal, n) > BACK):
+            direction = _turn(direction, n, new_normal)
+            p, n = q, new_normal
             rest = left - length
-            left = rest if rest > DONE * voxel else 0.0
+            left = rest if rest > LEFT_TOLERANCE * voxel else 0.0
             walked += length
             stride = min(stride * 2, STRIDE)
             settled, blocked = True, False
         elif not settled:
-            found, p, after = settle_at(table, values, grid, p, n, close)
-            if not found:
-                return Trip(p, n, way, walked, blocked, True)
-            way = _turn(way, n, after)
-            n = after
+            is_settled, p, new_normal = settle_at(table, values, grid, p, n, close)
+            if not is_settled:
+                return Trip(p, n, direction, walked, blocked, True)
+            direction = _turn(direction, n, new_normal)
+            n = new_normal
             settled = True
         else:
             stride = length * (0.5 / voxel)
@@ -185,12 +185,17 @@ def _walk(
                     break
                 # At the very bottom of a groove or the tip of a ridge: to its other wall, once in a move.
                 beyond = 2 * LEAST * voxel
-                _, g = field_at(table, values, grid, (p[0] + way[0] * beyond, p[1] + way[1] * beyond, p[2] + way[2] * beyond))
-                after = _unit(g, n)
-                way = _turn(way, n, after)
-                n = after
+                _, g = field_at(
+                    table,
+                    values,
+                    grid,
+                    (p[0] + direction[0] * beyond, p[1] + direction[1] * beyond, p[2] + direction[2] * beyond),
+                )
+                new_normal = _unit(g, n)
+                direction = _turn(direction, n, new_normal)
+                n = new_normal
                 stride, blocked = EDGE, True
-    return Trip(p, n, way, walked, blocked, False)
+    return Trip(p, n, direction, walked, blocked, False)
 
 
 @called
@@ -200,7 +205,7 @@ def _onto(
     grid: tuple[F64, F64, F64, F64, I64, I64, I64],
     p: Vec3,
     n: Vec3,
-    way: Vec3,
+    direction: Vec3,
     length: F64,
     close: F64,
 ) -> tuple[Vec3, Vec3, F64]:
@@ -211,7 +216,7 @@ def _onto(
     converge. But just below the start is solid and just above it is air, so the surface lies between the point and one of
     these."""
     voxel = grid[3]
-    far = (p[0] + way[0] * length, p[1] + way[1] * length, p[2] + way[2] * length)
+    far = (p[0] + direction[0] * length, p[1] + direction[1] * length, p[2] + direction[2] * length)
     q = far
     d, g = field_at(table, values, grid, q)
     beyond = d > 0
@@ -246,20 +251,21 @@ def _onto(
 
 
 @inlined
-def _turn(way: Vec3, before: Vec3, after: Vec3) -> Vec3:
-    way, _ = _laid(_turned(way, before, after, way), after)
-    return way
+def _turn(direction: Vec3, old_normal: Vec3, new_normal: Vec3) -> Vec3:
+    direction, _ = _laid(_turned(direction, old_normal, new_normal, direction), new_normal)
+    return direction
 
 
 @called
-def _turned(v: Vec3, before: Vec3, after: Vec3, way: Vec3) -> Vec3:
-    """Return a vector rotated by the smallest rotation from one unit normal to the other. A half turn rotates over `way`."""
-    cosine = dot(before, after)
+def _turned(v: Vec3, old_normal: Vec3, new_normal: Vec3, direction: Vec3) -> Vec3:
+    """Return a vector rotated by the smallest rotation from one unit normal to the other. A half turn rotates over
+    `direction`."""
+    cosine = dot(old_normal, new_normal)
     if cosine < -1 + 1e-9:
-        hinge = cross(before, way)
+        hinge = cross(old_normal, direction)
         twice = 2 * dot(hinge, v)
         return (twice * hinge[0] - v[0], twice * hinge[1] - v[1], twice * hinge[2] - v[2])
-    axis = cross(before, after)
+    axis = cross(old_normal, new_normal)
     part = dot(axis, v) / (1.0 + cosine)
     swept = cross(axis, v)
     return (

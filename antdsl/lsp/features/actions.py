@@ -22,15 +22,15 @@ class Action:
 
 def actions(workspace: Workspace, document: Document, start: int, end: int) -> list[Action]:
     """What could be put right between two offsets."""
-    found = []
+    fixes = []
     for complaint in workspace.complaints(document.path):
         span = complaint.span
         if span is None or document.start(span) > end or document.end(span) < start:
             continue
         edit = edit_of(document, complaint)
         if edit is not None:
-            found.append(Action(_title(document, edit), edit, complaint))
-    return found
+            fixes.append(Action(_title(document, edit), edit, complaint))
+    return fixes
 
 
 def edit_of(document: Document, complaint: Diagnostic) -> Edit | None:

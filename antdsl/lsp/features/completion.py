@@ -13,7 +13,7 @@ from antdsl.program.expectations import MOTION
 from antdsl.program.tables.colours import COLOURS
 from antdsl.program.tables.effects import EFFECTS
 from antdsl.program.tables.things import KINDS_OF_THINGS
-from antdsl.program.tables.vocabulary import GIVEN, TYPE_WORDS
+from antdsl.program.tables.vocabulary import BUILTIN_ATTRIBUTES, TYPE_WORDS
 from antdsl.syntax import nodes
 from antdsl.syntax.words import FIXED_SETTINGS, FORMS, LINE_WORDS, UNIT_NAMES
 
@@ -24,31 +24,31 @@ def complete(workspace: Workspace, document: Document, offset: int) -> list[Item
     if context.quiet:
         return []
     names = document.names
-    found: dict[str, Item] = {}
+    items_by_label: dict[str, Item] = {}
     for item in _items(Request(workspace, document, names, context)):
-        found.setdefault(item.label, item)
-    return list(found.values())
+        items_by_label.setdefault(item.label, item)
+    return list(items_by_label.values())
 
 
 def _items(request: Request) -> Iterator[Item]:
-    before, rule = request.before, request.context.rule
+    prefix, rule = request.prefix, request.context.rule
     number = re.search(r"(?<![A-Za-z_0-9.])[0-9][0-9.]*[ \t]*([a-zA-Z%/*^0-9]*)$", request.context.line)
-    if number is not None and not before.endswith(".."):
-        if re.search(r"\b(take|give)[ \t]+[^ \t]+[ \t]+$", before):
+    if number is not None and not prefix.endswith(".."):
+        if re.search(r"\b(take|give)[ \t]+[^ \t]+[ \t]+$", prefix):
             yield from _amounts(request)
         yield from _units(number.group(1))
         return
-    for pattern, give in _AFTER:
-        if re.search(pattern, before):
+    for pattern, give in _PROPOSALS:
+        if re.search(pattern, prefix):
             yield from give(request)
             return
-    if before.endswith(".") and not before.endswith(".."):
+    if prefix.endswith(".") and not prefix.endswith(".."):
         yield from members(request)
         return
-    if not before.strip() and request.context.called is None:
+    if not prefix.strip() and request.context.called is None:
         yield from _line_start(request, rule)
         return
-    if rule in ("world_item",) or (rule == "top" and not before.startswith("behaviour")):
+    if rule in ("world_item",) or (rule == "top" and not prefix.startswith("behaviour")):
         return
     if request.context.called is not None:
         yield from argument_names(request)
@@ -70,7 +70,7 @@ def _line_start(request: Request, rule: str) -> Iterator[Item]:
         for word, help in SETTINGS.items():
             yield Item(word, "property", "setting of a field", help)
     elif rule == "member":
-        for word, row in GIVEN.items():
+        for word, row in BUILTIN_ATTRIBUTES.items():
             if row.settable:
                 yield Item(word, "property", row.type, row.help + (f"; default {row.default}" if row.default else ""))
     elif rule in ("statement", "action"):
@@ -106,10 +106,10 @@ def _word(word: str) -> Item:
 # --- after certain words ---------------------------------------------------------------------------------------------
 
 
-def _units(begun: str) -> Iterator[Item]:
+def _units(prefix: str) -> Iterator[Item]:
     from antdsl.program.tables.units import dimension_words, measure
 
-    head = begun[: max(begun.rfind("/"), begun.rfind("*")) + 1]
+    head = prefix[: max(prefix.rfind("/"), prefix.rfind("*")) + 1]
     units = (*UNIT_NAMES, "%", "mm/s", "deg/s", "/s", "%/s", "/step") if not head else UNIT_NAMES
     for unit in units:
         known = measure(head + unit)
@@ -118,7 +118,7 @@ def _units(begun: str) -> Iterator[Item]:
 
 
 def _targets(request: Request) -> Iterator[Item]:
-    if re.match(r"behaviour\b", request.before):
+    if re.match(r"behaviour\b", request.prefix):
         yield from _types(request)
     elif request.context.rule == "rule":
         yield from values(request)
@@ -178,7 +178,7 @@ def _amounts(request: Request) -> Iterator[Item]:
 
 
 def _takes_from(request: Request) -> Iterator[Item]:
-    if re.match(r"(from|machine)\b", request.before.strip()) and "take" not in request.before:
+    if re.match(r"(from|machine)\b", request.prefix.strip()) and "take" not in request.prefix:
         yield Item("any", "keyword", "out of every state but …")
     else:
         yield from values(request)
@@ -206,7 +206,7 @@ def _with_value(name: str, value: nodes.Expr, help: nodes.Text | None) -> Item:
     return Item(name, "property", text, help.text if help is not None else "", f"{name} = {text}")
 
 
-def _some(request: Request) -> Iterator[Item]:
+def _item_or_animal(request: Request) -> Iterator[Item]:
     """Propose things that may be missing: an item or an animal."""
     yield from things("items")(request)
     yield from species(request)
@@ -218,7 +218,7 @@ def _named(kind: str) -> Callable[[Request], Iterator[Item]]:
     return others.get(kind) or things(*KINDS_OF_THINGS[kind].serves)
 
 
-_AFTER: tuple[tuple[str, Callable[[Request], Iterator[Item]]], ...] = (
+_PROPOSALS: tuple[tuple[str, Callable[[Request], Iterator[Item]]], ...] = (
     (r"->[ \t]*$", _targets),
     (r"^start[ \t]+$", _states),
     (r"^from any except ([a-z_0-9]+, *)*$", _states),
@@ -233,7 +233,7 @@ _AFTER: tuple[tuple[str, Callable[[Request], Iterator[Item]]], ...] = (
     (r"\b(take|give)[ \t]+(all|[^ \t]+([ \t]+[a-z%/]+)?)[ \t]+$", _amounts),
     (r"\bfrom[ \t]+$", _takes_from),
     (r"\bmotion\.$", _motion),
-    (r"\bnone[ \t]+of[ \t]+$", _some),
+    (r"\bnone[ \t]+of[ \t]+$", _item_or_animal),
     (r"(^|\{[ \t]*)set[ \t]+$", _changed),
 )
 

@@ -23,13 +23,13 @@ class Block:
 @dataclass(frozen=True, slots=True)
 class Context:
     """The text before a position. `line`: the statement so far, without closed parts. `word`: the beginning of a word at its end.
-    `called`: the function with open brackets. `given`: the text between them so far."""
+    `called`: the function with open brackets. `arguments`: the text between them so far."""
 
     blocks: tuple[Block, ...]
     line: str
     word: str
     called: str | None
-    given: str
+    arguments: str
     quiet: bool  # inside a text or a comment
 
     @property
@@ -81,9 +81,9 @@ def context_at(text: str, offset: int) -> Context:
             begin = piece.end()
     line = text[begin:offset].lstrip()
     word = re.search(r"[A-Za-z_0-9]*$", line)
-    called, given = None, ""
+    called, arguments = None, ""
     if brackets and text[brackets[-1]] == "(":
-        found = _CALLED.search(text, begin, brackets[-1])
-        called = found.group(1) if found is not None else ""
-        given = text[brackets[-1] + 1 : offset]
-    return Context(tuple(blocks), line, word.group() if word else "", called, given, quiet)
+        match = _CALLED.search(text, begin, brackets[-1])
+        called = match.group(1) if match is not None else ""
+        arguments = text[brackets[-1] + 1 : offset]
+    return Context(tuple(blocks), line, word.group() if word else "", called, arguments, quiet)

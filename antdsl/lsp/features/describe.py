@@ -39,21 +39,21 @@ def _typed(program: Program | None, key: Key) -> Type | None:
     return species.own.get(key[-1]) or next((p.type for p in species.params if p.name == f"{key[1]}.{key[-1]}"), None)
 
 
-def _kind_line(type: Type | None, *more: str) -> str:
+def _kind_line(type: Type | None, *details: str) -> str:
     if type is None or type.kind is Kind.BAD:
-        return "; ".join(more)
+        return "; ".join(details)
     unit = unit_of(type.dim) if type.kind in (Kind.NUMBER, Kind.VECTOR) else ""
-    return "; ".join([type_words(type) + (f", in `{unit}`" if unit else ""), *more])
+    return "; ".join([type_words(type) + (f", in `{unit}`" if unit else ""), *details])
 
 
 def _own(workspace: Workspace, document: Document, key: Key) -> str | None:
-    found = declared(workspace, document, key)
-    if found is None:
+    target = declared(workspace, document, key)
+    if target is None:
         return None
-    where, node = found[0], declaration(found[1].node) or found[1].node
+    where, node = target[0], declaration(target[1].node) or target[1].node
     typed = _typed(workspace.good(where.path), key)
     word = {nodes.ParamDecl: "param ", nodes.Let: "let ", nodes.Latch: "latch ", nodes.Fuzzy: "fuzzy "}.get(
-        type(found[1].node), ""
+        type(target[1].node), ""
     )
     if isinstance(node, nodes.Latch):
         form = f"latch {node.name.text} = {flat(node.on.span.text)} until {flat(node.until.span.text)}"
@@ -61,25 +61,25 @@ def _own(workspace: Workspace, document: Document, key: Key) -> str | None:
         form = f"fuzzy {node.name.text} {{ … }}"
     else:
         form = f"{word}{node.name.text} = {flat(node.value.span.text)}"
-    more = []
+    details = []
     if isinstance(node, nodes.Declaration):
         if node.range is not None:
             form += f" in {flat(node.range.span.text)}"
-            more.append(f"from {flat(node.range.low.span.text)} to {flat(node.range.high.span.text)}")
-        more.append(f"default {flat(node.value.span.text)}" if word else f"{flat(node.value.span.text)} at birth")
+            details.append(f"from {flat(node.range.low.span.text)} to {flat(node.range.high.span.text)}")
+        details.append(f"default {flat(node.value.span.text)}" if word else f"{flat(node.value.span.text)} at birth")
         if node.each is not None:
-            more.append(f"one value about each {node.each.species.text}")
+            details.append(f"one value about each {node.each.species.text}")
     return markdown(
         form,
-        _kind_line(typed, *more),
+        _kind_line(typed, *details),
         _help(node),
         f"{'param' if word == 'param ' else word.strip() or 'attribute'} of `{key[1]}`",
     )
 
 
 def _thing(workspace: Workspace, document: Document, key: Key) -> str | None:
-    found = declared(workspace, document, key)
-    node = found[1].node if found is not None else None
+    target = declared(workspace, document, key)
+    node = target[1].node if target is not None else None
     if not isinstance(node, nodes.WorldItem):
         return None
     inner = "; ".join(flat(each.span.text) for each in node.attributes)
@@ -89,20 +89,20 @@ def _thing(workspace: Workspace, document: Document, key: Key) -> str | None:
 
 
 def _attribute(workspace: Workspace, document: Document, key: Key) -> str | None:
-    found = declared(workspace, document, key)
-    if found is None:
+    target = declared(workspace, document, key)
+    if target is None:
         return None
-    program = workspace.good(found[0].path)
+    program = workspace.good(target[0].path)
     thing = program.world.get(key[1]) if program is not None else None
     type = next((each.type for each in thing.attributes if each.name == key[2]), None) if thing is not None else None
-    node = found[1].node
+    node = target[1].node
     value = flat(node.value.span.text)
     return markdown(f"{key[2]} = {value}", _kind_line(type, f"default {value}"), _help(node), f"value of each of `{key[1]}`")
 
 
 def _field(workspace: Workspace, document: Document, key: Key) -> str | None:
-    found = declared(workspace, document, key)
-    node = found[1].node if found is not None else None
+    target = declared(workspace, document, key)
+    node = target[1].node if target is not None else None
     if not isinstance(node, nodes.FieldDecl):
         return None
     surfaces = ", ".join(name.text for name in node.surfaces)
@@ -111,28 +111,34 @@ def _field(workspace: Workspace, document: Document, key: Key) -> str | None:
 
 
 def _species(workspace: Workspace, document: Document, key: Key) -> str | None:
-    found = declared(workspace, document, key)
-    if found is None:
+    target = declared(workspace, document, key)
+    if target is None:
         return None
-    table = found[0].names.species.get(key[1])
+    table = target[0].names.species.get(key[1])
     machines = table.machines if table is not None else {}
     states = "; ".join(f"{name}: {', '.join(f'`{s}`' for s in states)}" for name, states in machines.items())
-    return markdown(f"species {key[1]}", _help(found[1].node), f"states of {states}" if states else "")
+    return markdown(f"species {key[1]}", _help(target[1].node), f"states of {states}" if states else "")
 
 
 def _state(workspace: Workspace, document: Document, key: Key) -> str | None:
-    found = declared(workspace, document, key)
-    node = found[1].node if found is not None else None
+    target = declared(workspace, document, key)
+    node = target[1].node if target is not None else None
     if not isinstance(node, nodes.State):
         return None
     label = f' "{node.label.text}"' if node.label is not None else ""
     colour = f" {node.colour.text}" if node.colour is not None else ""
     least = f"at least {flat(node.at_least.span.text)}" if node.at_least is not None else ""
-    ways = []
+    target_names = []
     for line in node.body:
         if isinstance(line, nodes.Change):
-            ways += [line.target.name.text] if line.target.name is not None else [c.target.text for c in line.target.choices]
-    leads = "leads to " + ", ".join(f"`{way}`" for way in dict.fromkeys(ways)) if ways else "nothing leads out of it"
+            target_names += (
+                [line.target.name.text] if line.target.name is not None else [c.target.text for c in line.target.choices]
+            )
+    leads = (
+        "leads to " + ", ".join(f"`{target_name}`" for target_name in dict.fromkeys(target_names))
+        if target_names
+        else "nothing leads out of it"
+    )
     where = f"state of `{key[1]}`" + (f", machine `{key[2]}`" if key[2] != "main" else "")
     still = "stands still: no line of it steers" if _rests(workspace, document, key, node) else ""
     return markdown(f"state {node.name.text}{label}{colour}", least, leads, still, where)
@@ -140,26 +146,26 @@ def _state(workspace: Workspace, document: Document, key: Key) -> str | None:
 
 def _rests(workspace: Workspace, document: Document, key: Key, state: nodes.State) -> bool:
     """Return whether a state has no steering while another state of its machine steers."""
-    found = declared(workspace, document, ("species", key[1]))
-    members = found[1].node.members if found is not None else ()
+    target = declared(workspace, document, ("species", key[1]))
+    members = target[1].node.members if target is not None else ()
     beside = next((m.members for m in members if isinstance(m, nodes.Machine) and m.name.text == key[2]), members)
     silent = not any(isinstance(line, nodes.Steer) for line in state.body)
     return silent and any(isinstance(line, nodes.Steer) for m in beside if isinstance(m, nodes.State) for line in m.body)
 
 
 def _behaviour(workspace: Workspace, document: Document, key: Key) -> str | None:
-    found = declared(workspace, document, key)
-    node = found[1].node if found is not None else None
-    if not isinstance(node, nodes.Behaviour) or found is None:
+    target = declared(workspace, document, key)
+    node = target[1].node if target is not None else None
+    if not isinstance(node, nodes.Behaviour) or target is None:
         return None
-    return markdown(f"behaviour {signature(node)}", _help(node), f"in `{found[0].path.name}`")
+    return markdown(f"behaviour {signature(node)}", _help(node), f"in `{target[0].path.name}`")
 
 
 def _inner(workspace: Workspace, document: Document, key: Key) -> str | None:
-    found = declared(workspace, document, key)
-    if found is None:
+    target = declared(workspace, document, key)
+    if target is None:
         return None
-    node = found[1].node
+    node = target[1].node
     if isinstance(node, nodes.BehaviourArgument):
         default = flat(node.default.span.text) if node.default is not None else ""
         form = f"{node.name.text}: {flat(node.type.span.text)}" + (f" = {default}" if default else "")
@@ -168,13 +174,13 @@ def _inner(workspace: Workspace, document: Document, key: Key) -> str | None:
 
 
 def _let(workspace: Workspace, document: Document, key: Key) -> str | None:
-    found = declared(workspace, document, key)
-    return markdown(flat(found[1].node.span.text), f"in state `{key[3]}`") if found is not None else None
+    target = declared(workspace, document, key)
+    return markdown(flat(target[1].node.span.text), f"in state `{key[3]}`") if target is not None else None
 
 
 def _machine(workspace: Workspace, document: Document, key: Key) -> str | None:
-    found = declared(workspace, document, key)
-    node = found[1].node if found is not None else None
+    target = declared(workspace, document, key)
+    node = target[1].node if target is not None else None
     if not isinstance(node, nodes.Machine):
         return None
     states = ", ".join(f"`{m.name.text}`" for m in node.members if isinstance(m, nodes.State))

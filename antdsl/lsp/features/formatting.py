@@ -13,10 +13,10 @@ from antdsl.source import Source
 def formatted(document: Document) -> list[Edit] | None:
     """Return the edits that format a document; an empty list if it is formatted, None for a text with errors, which stays
     unchanged."""
-    made, _ = syntax.format(Source(str(document.path), document.text.text))
-    if made is None:
+    new_text, _ = syntax.format(Source(str(document.path), document.text.text))
+    if new_text is None:
         return None
-    old, new = document.text.text.splitlines(keepends=True), made.splitlines(keepends=True)
+    old, new = document.text.text.splitlines(keepends=True), new_text.splitlines(keepends=True)
     starts = [0]
     for line in old:
         starts.append(starts[-1] + len(line))

@@ -20,7 +20,7 @@ _USUAL = Fraction(24)
 @dataclass(frozen=True, slots=True)
 class Hint:
     span: Span  # it stands before the start of this, or after its end
-    before: bool
+    is_before: bool
     text: str
     help: str
 
@@ -28,8 +28,8 @@ class Hint:
 def hints(workspace: Workspace, document: Document) -> list[Hint]:
     """The hints of a program, in text order."""
     fps = frame_rate(workspace, document)
-    found = [hint for item in document.parsed[0].items for hint in _hints(item, fps)]
-    return sorted(found, key=lambda hint: document.start(hint.span))
+    all_hints = [hint for item in document.parsed[0].items for hint in _hints(item, fps)]
+    return sorted(all_hints, key=lambda hint: document.start(hint.span))
 
 
 def frame_rate(workspace: Workspace, document: Document) -> Fraction | None:
@@ -74,6 +74,11 @@ def _frames(node: nodes.Quantity, fps: Fraction | None) -> Hint | None:
     rate = fps or _USUAL
     exact = Fraction(str(node.value)) * Fraction(str(known.factor)) * rate
     count = ceil(exact)
-    shown = f"{count} frame{'' if count == 1 else 's'}"
+    frame_text = f"{count} frame{'' if count == 1 else 's'}"
     where = f"at {float(rate):g} fps" if fps is not None else "at 24 fps, as no scene says otherwise"
-    return Hint(node.span, False, shown if fps is not None else f"{shown} at 24 fps", f"{node.span.text} is {shown} {where}")
+    return Hint(
+        node.span,
+        False,
+        frame_text if fps is not None else f"{frame_text} at 24 fps",
+        f"{node.span.text} is {frame_text} {where}",
+    )

@@ -14,7 +14,16 @@ from antdsl.lsp.text import Range
 from antdsl.lsp.workspace import Document, Workspace
 from antdsl.program.names.bindings import Key
 from antdsl.program.names.declared import Declaration
-from antdsl.program.tables.vocabulary import BUILTINS, GIVEN, HIT_GIVEN, ITEM_GIVEN, REDUCERS, RESERVED, RUN_NAMES, SENSED_NAMES
+from antdsl.program.tables.vocabulary import (
+    BUILTIN_ATTRIBUTES,
+    BUILTINS,
+    HIT_ATTRIBUTES,
+    ITEM_ATTRIBUTES,
+    REDUCERS,
+    RESERVED,
+    RUN_NAMES,
+    SENSED_NAMES,
+)
 from antdsl.program.types.states import STATE_WORDS
 from antdsl.source import Source, Span
 
@@ -36,7 +45,7 @@ class Refused(Exception):
 
 
 @dataclass(frozen=True, slots=True)
-class Found:
+class NameLocation:
     document: Document
     span: Span
 
@@ -57,10 +66,10 @@ def declared(workspace: Workspace, document: Document, key: Key) -> tuple[Docume
         if other is None or not other.is_program:
             continue
         for each in _meant(other, key):
-            found = other.names.declared.get(each)
-            if found is not None and (key[0] != "species" or hasattr(found.node, "members")):
-                return other, found
-            brought = brought or ((other, found) if found is not None else None)
+            entry = other.names.declared.get(each)
+            if entry is not None and (key[0] != "species" or hasattr(entry.node, "members")):
+                return other, entry
+            brought = brought or ((other, entry) if entry is not None else None)
     return brought
 
 
@@ -76,38 +85,40 @@ def _meant(document: Document, key: Key) -> Iterator[Key]:
 
 
 def occurrence_at(document: Document, offset: int) -> Occurrence | None:
-    found = document.at(offset)
-    return found[0] if found else None
+    occurrences = document.at(offset)
+    return occurrences[0] if occurrences else None
 
 
-def definition(workspace: Workspace, document: Document, offset: int) -> list[Found]:
+def definition(workspace: Workspace, document: Document, offset: int) -> list[NameLocation]:
     """Return where the name at an offset is declared: in this file, another file or the library. If a file is named, return that
     file."""
-    found: dict[tuple[Path, int], Found] = {}
+    locations: dict[tuple[Path, int], NameLocation] = {}
     for occurrence in document.at(offset):
         key = occurrence.key
         if key[0] in ("file", "library"):
             for other in _files(workspace, key):
-                return [Found(other, Span(_source(other), 0, 0))]
+                return [NameLocation(other, Span(_source(other), 0, 0))]
         elif key[0] == "element":
-            return [Found(document, each.span) for each in document.occurrences if each.key == key and each.declares]
+            return [NameLocation(document, each.span) for each in document.occurrences if each.key == key and each.declares]
         elif key[0] in ("scene-item", "?scene") and (items := list(_items(workspace, document, key[-1]))):
             return items[:1]
         else:
             place = declared(workspace, document, key)
             if place is not None:
-                found.setdefault((place[0].path, place[0].start(place[1].name.span)), Found(place[0], place[1].name.span))
-        if found and occurrence.span != document.at(offset)[0].span:
+                locations.setdefault(
+                    (place[0].path, place[0].start(place[1].name.span)), NameLocation(place[0], place[1].name.span)
+                )
+        if locations and occurrence.span != document.at(offset)[0].span:
             break
-    return list(found.values())
+    return list(locations.values())
 
 
-def _items(workspace: Workspace, document: Document, name: str) -> Iterator[Found]:
+def _items(workspace: Workspace, document: Document, name: str) -> Iterator[NameLocation]:
     """Yield where scenes name an item: this scene, and those that it extends or that extend it."""
     for path in workspace.extending(document.path):
         other = workspace.document(path)
         if other is not None and name in other.scene.items:
-            yield Found(other, other.scene.items[name])
+            yield NameLocation(other, other.scene.items[name])
 
 
 def _files(workspace: Workspace, key: Key) -> Iterator[Document]:
@@ -123,15 +134,16 @@ def _source(document: Document) -> Source:
     return document.parsed[0].source if document.is_program else Source(str(document.path), document.text.text)
 
 
-def references(workspace: Workspace, document: Document, offset: int, declaration: bool = True) -> list[Found]:
+def references(workspace: Workspace, document: Document, offset: int, declaration: bool = True) -> list[NameLocation]:
     """Return all references to the same symbol, in all related files."""
     keys = {meant(workspace, document, each.key) for each in _same_place(document, offset)}
-    found: dict[tuple[Path, int], Found] = {}
+    locations: dict[tuple[Path, int], NameLocation] = {}
     for other, occurrence in _all(workspace, document, keys):
         if declaration or not occurrence.declares:
-            found.setdefault((other.path, other.start(occurrence.span)), Found(other, occurrence.span))
+            locations.setdefault((other.path, other.start(occurrence.span)), NameLocation(other, occurrence.span))
     return sorted(
-        found.values(), key=lambda each: (each.document.path != document.path, each.document.path, each.document.start(each.span))
+        locations.values(),
+        key=lambda each: (each.document.path != document.path, each.document.path, each.document.start(each.span)),
     )
 
 
@@ -142,13 +154,13 @@ def meant(workspace: Workspace, document: Document, key: Key) -> Key:
         return key
     if key[0] == "?scene" and any(_items(workspace, document, key[1])):
         return ("scene-item", key[1])
-    found = declared(workspace, document, key)
-    return found[1].key if found is not None else key
+    target = declared(workspace, document, key)
+    return target[1].key if target is not None else key
 
 
 def _same_place(document: Document, offset: int) -> list[Occurrence]:
-    found = document.at(offset)
-    return [each for each in found if each.span == found[0].span]
+    occurrences = document.at(offset)
+    return [each for each in occurrences if each.span == occurrences[0].span]
 
 
 def _all(workspace: Workspace, document: Document, keys: set[Key]) -> Iterator[tuple[Document, Occurrence]]:
@@ -164,9 +176,9 @@ def _all(workspace: Workspace, document: Document, keys: set[Key]) -> Iterator[t
         other = workspace.document(path)
         for occurrence in other.occurrences if other is not None else ():
             key = occurrence.key
-            asked = known.get(key[-1]) if key[0] in _UNKNOWN else None
-            elsewhere = key[0] == "?layer" and asked is not None and asked[0] == "own" and asked[1] != key[1]
-            if key in keys or (asked is not None and asked[0] in _UNKNOWN[key[0]] and not elsewhere):
+            known_key = known.get(key[-1]) if key[0] in _UNKNOWN else None
+            elsewhere = key[0] == "?layer" and known_key is not None and known_key[0] == "own" and known_key[1] != key[1]
+            if key in keys or (known_key is not None and known_key[0] in _UNKNOWN[key[0]] and not elsewhere):
                 assert other is not None
                 yield other, occurrence
 
@@ -176,33 +188,33 @@ def _all(workspace: Workspace, document: Document, keys: set[Key]) -> Iterator[t
 
 def renamable(workspace: Workspace, document: Document, offset: int) -> Occurrence:
     """Return the renamable name at an offset. Raises Refused when there is none."""
-    found = occurrence_at(document, offset)
-    if found is None:
+    occurrence = occurrence_at(document, offset)
+    if occurrence is None:
         raise Refused("there is no name here")
-    found = replace(found, key=meant(workspace, document, found.key))
-    word = found.span.text.strip('"')
-    if found.key[0] not in GIVEN_BY_AUTHOR or (found.key[0] == "event" and found.key[1] in ("spawn", "collision")):
+    occurrence = replace(occurrence, key=meant(workspace, document, occurrence.key))
+    word = occurrence.span.text.strip('"')
+    if occurrence.key[0] not in GIVEN_BY_AUTHOR or (occurrence.key[0] == "event" and occurrence.key[1] in ("spawn", "collision")):
         raise Refused(f"`{word}` is a word of the language, or is declared nowhere")
-    return found
+    return occurrence
 
 
-def rename(workspace: Workspace, document: Document, offset: int, new: str) -> list[Found]:
+def rename(workspace: Workspace, document: Document, offset: int, new: str) -> list[NameLocation]:
     """Return all positions that a new name must be written to. Names that `take` and `give` bind together are renamed
     together."""
     first = renamable(workspace, document, offset)
     if not _NAME.fullmatch(new) or len(new) > limits.NAME_CHARACTERS:
         raise Refused(f"`{new[:80]}` is no name: small letters, digits and `_`, beginning with a letter")
     called = first.key[0] == "behaviour" and (new in BUILTINS or new in REDUCERS)
-    if new in _TAKEN or new in keywords() or called or _given(first.key, new):
+    if new in _TAKEN or new in keywords() or called or _is_built_in(first.key, new):
         raise Refused(f"`{new}` is a word of the language")
     keys = _bound_together(workspace, document, {meant(workspace, document, each.key) for each in _same_place(document, offset)})
-    places = {(other.path, other.start(each.span)): (other, each) for other, each in _all(workspace, document, keys)}
+    occurrences = {(other.path, other.start(each.span)): (other, each) for other, each in _all(workspace, document, keys)}
     for key in keys:
         place = declared(workspace, document, key)
         if place is not None and not _own(workspace, place[0].path):
             raise Refused(f"`{first.span.text}` belongs to the library, which is not changed from here")
         _refuse_collision(workspace, document, key, new)
-    return [Found(other, each.span) for other, each in places.values()]
+    return [NameLocation(other, each.span) for other, each in occurrences.values()]
 
 
 def _own(workspace: Workspace, path: Path) -> bool:
@@ -212,10 +224,10 @@ def _own(workspace: Workspace, path: Path) -> bool:
     return not inside or any(path.is_relative_to(root) for root in workspace.roots)
 
 
-def _given(key: Key, new: str) -> bool:
+def _is_built_in(key: Key, new: str) -> bool:
     if key[0] in ("own", "let", "machine"):
-        return new in GIVEN
-    return key[0] == "attribute" and (new in ITEM_GIVEN or new in HIT_GIVEN)
+        return new in BUILTIN_ATTRIBUTES
+    return key[0] == "attribute" and (new in ITEM_ATTRIBUTES or new in HIT_ATTRIBUTES)
 
 
 def _bound_together(workspace: Workspace, document: Document, keys: set[Key]) -> set[Key]:
@@ -228,12 +240,12 @@ def _bound_together(workspace: Workspace, document: Document, keys: set[Key]) ->
         for each in other.occurrences if other is not None else ():
             assert other is not None
             by_place.setdefault(other.start(each.span), set()).add(each.key)
-        pairs += [found for found in by_place.values() if len(found) > 1]
+        pairs += [key_set for key_set in by_place.values() if len(key_set) > 1]
     grown = True
     while grown:
-        before = len(keys)
+        old_count = len(keys)
         keys = keys.union(*(pair for pair in pairs if pair & keys))
-        grown = len(keys) > before
+        grown = len(keys) > old_count
     return keys
 
 
@@ -250,8 +262,8 @@ def _refuse_collision(workspace: Workspace, document: Document, key: Key, new: s
         if other is None:
             continue
         names = other.names.declared if other.is_program else {}
-        for rival in rivals:
-            if rival in names or (rival[0] == "scene-item" and not other.is_program and new in other.scene.items):
+        for rival_key in rivals:
+            if rival_key in names or (rival_key[0] == "scene-item" and not other.is_program and new in other.scene.items):
                 raise Refused(f"there is a `{new}` already: {other.path.name}")
         if not (hiding and other.is_program):
             continue

@@ -68,7 +68,7 @@ def _members(members: Any) -> Iterator[Symbol]:
             yield Symbol("layers", "layers", member.span, Span(member.span.source, member.span.start, member.span.start + 6))
         elif isinstance(member, nodes.On):
             yield Symbol(f"on {member.event.text}", "event", member.span, member.event.span)
-        elif isinstance(member, nodes.Given):
+        elif isinstance(member, nodes.AnimalProperty):
             yield Symbol(member.name.text, "attribute", member.span, member.name.span)
 
 
@@ -76,9 +76,9 @@ def _keys(node: Node) -> Iterator[Symbol]:
     if isinstance(node, MappingNode):
         for key, value in node.entries.items():
             span = node.keys[key]
-            whole = Span(span.source, span.start, max(span.end, value.span.end))
+            entry_span = Span(span.source, span.start, max(span.end, value.span.end))
             detail = value.text if isinstance(value, ScalarNode) else ""
-            yield Symbol(key, "key", whole, span, detail[:60], list(_keys(value)))
+            yield Symbol(key, "key", entry_span, span, detail[:60], list(_keys(value)))
     elif isinstance(node, SequenceNode):
         for item in node.items:
             if isinstance(item, MappingNode):
@@ -102,7 +102,7 @@ def folds(document: Document) -> list[Fold]:
     """Braces and brackets over several lines, and runs of comments; in a scene, values below their key."""
     if not document.is_program:
         return _scene_folds(document)
-    text, found, stack = document.text, [], []
+    text, all_folds, stack = document.text, [], []
     comments: list[int] = []
     for piece in _PIECE.finditer(text.text):
         sign = piece.group()
@@ -115,8 +115,8 @@ def folds(document: Document) -> list[Fold]:
         elif sign in "})]" and stack:
             first, last = text.place(stack.pop())[0], text.place(piece.start())[0]
             if last > first + 1:
-                found.append(Fold(first, last - 1))
-    return sorted([*found, *_runs(comments)], key=lambda fold: (fold.first, -fold.last))
+                all_folds.append(Fold(first, last - 1))
+    return sorted([*all_folds, *_runs(comments)], key=lambda fold: (fold.first, -fold.last))
 
 
 def _runs(lines: list[int]) -> Iterator[Fold]:
@@ -130,12 +130,12 @@ def _runs(lines: list[int]) -> Iterator[Fold]:
 
 
 def _scene_folds(document: Document) -> list[Fold]:
-    found: dict[int, Fold] = {}
+    folds_by_line: dict[int, Fold] = {}
     stack = list(symbols(document))
     while stack:
         symbol = stack.pop()
         (first, _), (last, _) = document.range(symbol.span)
         if last > first:
-            found.setdefault(first, Fold(first, last))
+            folds_by_line.setdefault(first, Fold(first, last))
         stack += symbol.inner
-    return [found[line] for line in sorted(found)]
+    return [folds_by_line[line] for line in sorted(folds_by_line)]

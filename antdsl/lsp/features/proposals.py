@@ -15,7 +15,15 @@ from antdsl.program.kinds import Kind, Type
 from antdsl.program.names.declared import declaration
 from antdsl.program.names.scope import type_from_words
 from antdsl.program.tables.effects import EFFECTS
-from antdsl.program.tables.vocabulary import BUILTINS, GIVEN, HIT_GIVEN, ITEM_GIVEN, REDUCERS, RUN_NAMES, SENSED_NAMES
+from antdsl.program.tables.vocabulary import (
+    BUILTIN_ATTRIBUTES,
+    BUILTINS,
+    HIT_ATTRIBUTES,
+    ITEM_ATTRIBUTES,
+    REDUCERS,
+    RUN_NAMES,
+    SENSED_NAMES,
+)
 from antdsl.program.types.states import STATE_WORDS
 from antdsl.syntax import nodes
 from antdsl.syntax.verbs import VERBS
@@ -42,7 +50,7 @@ class Request:
     context: Context
 
     @property
-    def before(self) -> str:
+    def prefix(self) -> str:
         """The statement before the word that is being written."""
         return self.context.line.removesuffix(self.context.word)
 
@@ -77,11 +85,11 @@ def species(request: Request) -> Iterator[Item]:
 def _locals(request: Request) -> dict[str, tuple[str, Type | None]]:
     """Return the local names at this position: for each its description in words, and its type if known."""
     behaviour = request.names.behaviours.get(request.context.around("top", "behaviour") or "")
-    found: dict[str, tuple[str, Type | None]] = {}
+    known_names: dict[str, tuple[str, Type | None]] = {}
     for each in (*behaviour.arguments, *behaviour.body) if behaviour is not None else ():
         written = each.type if isinstance(each, nodes.BehaviourArgument) else None
         of = written.of.text if written is not None and written.of is not None else None
-        found[each.name.text] = ("argument", type_from_words(written.name.text, of) if written is not None else None)
+        known_names[each.name.text] = ("argument", type_from_words(written.name.text, of) if written is not None else None)
     for variable, over, first in re.findall(r"\(\s*(\w+)\s+in\s+(\w+)(?:\(\s*([a-z_]\w*))?", request.context.line):
         type: Type | None
         if over == "neighbours":
@@ -90,8 +98,8 @@ def _locals(request: Request) -> dict[str, tuple[str, Type | None]]:
             type = Type(Kind.HIT)
         else:
             type = _type(request, first if over in ("all", "nearest") else over, {})
-        found[variable] = ("element", type)
-    return found
+        known_names[variable] = ("element", type)
+    return known_names
 
 
 def _type(request: Request, name: str, local: Mapping[str, tuple[str, Type | None]]) -> Type | None:
@@ -103,18 +111,18 @@ def _type(request: Request, name: str, local: Mapping[str, tuple[str, Type | Non
     checked, path = request.workspace.check(request.document.path), request.document.path
     for program in (checked.program if checked is not None else None, request.workspace.good(path)):
         species = program.species.get(request.species or "") if program is not None else None
-        found = species.own.get(name) if species is not None else None
-        if found is not None and found.kind is not Kind.BAD:
-            return found
+        known_type = species.own.get(name) if species is not None else None
+        if known_type is not None and known_type.kind is not Kind.BAD:
+            return known_type
     if name in request.names.species:
         return Type(Kind.SPECIES, of=name)
     return Type(Kind.ITEMS, of=name) if name in request.names.things else None
 
 
 def members(request: Request) -> Iterator[Item]:
-    before = request.before[:-1].rstrip()
-    call = re.search(r"\b(?:nearest|random|first|pick)\(\s*([a-z_][a-z_0-9]*)[^()]*\)$", before)
-    name = call or re.search(r"([a-z_][a-z_0-9]*)$", before)
+    prefix = request.prefix[:-1].rstrip()
+    call = re.search(r"\b(?:nearest|random|first|pick)\(\s*([a-z_][a-z_0-9]*)[^()]*\)$", prefix)
+    name = call or re.search(r"([a-z_][a-z_0-9]*)$", prefix)
     if name is None:
         return
     word = name.group(1)
@@ -132,45 +140,45 @@ def members(request: Request) -> Iterator[Item]:
     owner = _type(request, word, local)
     if owner is None:
         return
-    whose = owner.of or ""
+    owner_name = owner.of or ""
     if owner.kind in (Kind.ITEM, Kind.ITEMS):
-        thing = request.names.things.get(whose)
+        thing = request.names.things.get(owner_name)
         for attribute in thing.attributes if thing is not None else ():
-            yield Item(attribute.name.text, "property", f"value of {whose}", attribute.help.text if attribute.help else "")
-        for given, type in ITEM_GIVEN.items():
-            yield Item(given, "property", type)
+            yield Item(attribute.name.text, "property", f"value of {owner_name}", attribute.help.text if attribute.help else "")
+        for member_name, type in ITEM_ATTRIBUTES.items():
+            yield Item(member_name, "property", type)
     elif owner.kind is Kind.HIT:
-        for given, type in HIT_GIVEN.items():
-            yield Item(given, "property", type)
+        for member_name, type in HIT_ATTRIBUTES.items():
+            yield Item(member_name, "property", type)
     elif owner.kind in (Kind.AGENT, Kind.SPECIES):
-        other = request.names.species.get(whose)
+        other = request.names.species.get(owner_name)
         for own, member in (other.own if other is not None else {}).items():
             node = declaration(member)
-            yield Item(own, "property", f"of {whose}", node.help.text if node is not None and node.help is not None else "")
+            yield Item(own, "property", f"of {owner_name}", node.help.text if node is not None and node.help is not None else "")
         if owner.kind is Kind.AGENT:
-            for given, row in GIVEN.items():
-                yield Item(given, "property", row.type, row.help)
+            for member_name, row in BUILTIN_ATTRIBUTES.items():
+                yield Item(member_name, "property", row.type, row.help)
 
 
 def argument_names(request: Request) -> Iterator[Item]:
     context = request.context
-    if not re.search(r"(^|[,(])\s*[a-z_0-9]*$", "(" + context.given):
+    if not re.search(r"(^|[,(])\s*[a-z_0-9]*$", "(" + context.arguments):
         return
-    given = set(re.findall(r"([a-z_][a-z_0-9]*)\s*:", context.given))
+    passed_names = set(re.findall(r"([a-z_][a-z_0-9]*)\s*:", context.arguments))
     called = context.called or ""
     behaviour = _find_behaviour(request, called)
     if behaviour is not None:
         for argument in behaviour.arguments:
-            if argument.name.text not in given:
+            if argument.name.text not in passed_names:
                 default = f" = {argument.default.span.text}" if argument.default is not None else ""
                 yield _argument(argument.name.text, argument.type.span.text + default)
         return
     for row in BUILTINS.get(called, ()):
         for arg in row.args:
-            if arg.name not in given:
+            if arg.name not in passed_names:
                 yield _argument(arg.name, arg.type + (f" = {arg.default}" if arg.default is not None else ""))
     for name, detail in _LINE_ARGUMENTS.get(called if called in _LINE_ARGUMENTS else context.line.split(" ")[0], ()):
-        if name not in given and context.line.startswith(tuple(_LINE_ARGUMENTS)):
+        if name not in passed_names and context.line.startswith(tuple(_LINE_ARGUMENTS)):
             yield _argument(name, detail)
 
 
@@ -211,10 +219,10 @@ def behaviours(request: Request) -> Iterator[Item]:
 
 def _call(node: nodes.Behaviour) -> Item:
     """Return the proposal of a behaviour, with a placeholder for each required argument."""
-    wanted = [argument for argument in node.arguments if argument.default is None]
-    places = ", ".join(f"${{{number}:{argument.name.text}}}" for number, argument in enumerate(wanted, 1))
-    optional = "$0" if not wanted and node.arguments else ""
-    insert = f"{node.name.text}({places or optional})" + ("" if optional else "$0")
+    required = [argument for argument in node.arguments if argument.default is None]
+    placeholders = ", ".join(f"${{{number}:{argument.name.text}}}" for number, argument in enumerate(required, 1))
+    optional = "$0" if not required and node.arguments else ""
+    insert = f"{node.name.text}({placeholders or optional})" + ("" if optional else "$0")
     return Item(node.name.text, "function", signature(node), node.help.text if node.help is not None else "", insert, True)
 
 
@@ -247,7 +255,7 @@ def values(request: Request) -> Iterator[Item]:
     yield from things()(request)
     yield from fields(request)
     yield from species(request)
-    for name, row in GIVEN.items():
+    for name, row in BUILTIN_ATTRIBUTES.items():
         yield Item(name, "variable", row.type, row.help)
     for name, type in (*RUN_NAMES.items(), *SENSED_NAMES.items()):
         yield Item(name, "variable", type, WORD_HELP.get(name, ""))

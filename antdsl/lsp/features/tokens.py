@@ -64,13 +64,13 @@ def tokens(document: Document, first: int = 0, last: int | None = None) -> list[
     return data
 
 
-def shown(data: list[int], text: Text) -> list[tuple[str, str]]:
+def list_tokens(data: list[int], text: Text) -> list[tuple[str, str]]:
     """Tokens with their text, for people and tests."""
     line = column = 0
-    found = []
+    pairs = []
     for number in range(0, len(data), 5):
         down, along, length, kind, _ = data[number : number + 5]
         line, column = line + down, along if down else column + along
         start = text.offset(line, column)
-        found.append((text.text[start : text.offset(line, column + length)], TYPES[kind]))
-    return found
+        pairs.append((text.text[start : text.offset(line, column + length)], TYPES[kind]))
+    return pairs

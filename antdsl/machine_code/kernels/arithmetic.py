@@ -30,7 +30,7 @@ class Arithmetic(Vectors[Number]):
     mask: Number | None = None  # the turns for which the text counts; None where one turn is written
     reached: Number | None = None  # the mask that holds for one turn at least wherever it is the present one
 
-    def some(self, mask: Number) -> Number:
+    def any_lane(self, mask: Number) -> Number:
         """Whether a mask holds for one turn at least."""
         bits = self.op("lanes", f"i{WIDTH}", mask, lanes=1)
         return self.op("ne", TRUTH, bits, Number(bits.kind, "0"))
@@ -42,7 +42,7 @@ class Arithmetic(Vectors[Number]):
 
     def counts(self) -> Number | None:
         """Return the condition that this code runs for at least one iteration; None where it certainly does."""
-        return None if self.mask is None or self.is_reached else self.some(self.mask)
+        return None if self.mask is None or self.is_reached else self.any_lane(self.mask)
 
     def named(self, kind: str, name: str, lanes: int = 1, known: Any = None) -> Number:
         return Number(kind, name, known, lanes)
@@ -52,8 +52,8 @@ class Arithmetic(Vectors[Number]):
         if value.kind == kind:
             return value
         if value.known is not None and not value.wide and kind in (DOUBLE, INT, UNSIGNED) and value.kind != DOUBLE:
-            found = constant(float(value.known) if kind == DOUBLE else int(value.known))
-            return Number(kind, found.name, found.known if kind == DOUBLE else in_range(int(value.known), kind))
+            literal = constant(float(value.known) if kind == DOUBLE else int(value.known))
+            return Number(kind, literal.name, literal.known if kind == DOUBLE else in_range(int(value.known), kind))
         source, target = value.base, LLVM[kind]
         if kind == TRUTH:
             zero = Number(value.kind, "zeroinitializer" if value.wide else "0" if source == "i64" else "0.0", lanes=value.lanes)
@@ -101,8 +101,8 @@ class Arithmetic(Vectors[Number]):
         single = np.float32(value.known)
         if float(single) != value.known and value.known == value.known:
             self.fail(self.node, f"float32 has no {value.known}: write `np.float32({value.known})`")
-        found = constant(single)
-        return self.widened(found) if value.wide else found
+        literal = constant(single)
+        return self.widened(literal) if value.wide else literal
 
     def as_kind(self, value: Number, kind: str) -> Number:
         """Convert a number to a kind. Raises NotInSubset for a literal that the kind would change."""
@@ -110,10 +110,10 @@ class Arithmetic(Vectors[Number]):
             return self.convert(value, kind)
         if kind == FLOAT:
             return self._as_float32(value)
-        found = self.convert(value, kind) if value.kind != DOUBLE else None
-        if found is None or found.known not in (None, value.known):
+        converted_number = self.convert(value, kind) if value.kind != DOUBLE else None
+        if converted_number is None or converted_number.known not in (None, value.known):
             self.fail(self.node, f"{value.known} is no number of type {kind}")
-        return found
+        return converted_number
 
     def arithmetic(self, node: ast.AST, operator: ast.operator, a: Number, b: Number) -> Number:
         word = type(operator)
@@ -133,8 +133,8 @@ class Arithmetic(Vectors[Number]):
         if word in _SHIFTS:
             return self._shifted(node, word, a, b)
         if word in _WHOLES:
-            found = self.op(_WHOLES[word], a.kind, a, b)
-            return Number(found.kind, found.name, None, found.lanes, first)
+            result = self.op(_WHOLES[word], a.kind, a, b)
+            return Number(result.kind, result.name, None, result.lanes, first)
         if word not in (ast.FloorDiv, ast.Mod):
             self.fail(node, "no such operation of whole numbers")
         return self._divided(node, word is ast.Mod, a, b)

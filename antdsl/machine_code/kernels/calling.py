@@ -13,17 +13,17 @@ from typing import Any
 
 from antdsl.machine_code import machine, workers_text
 from antdsl.machine_code.kernels import direct
-from antdsl.machine_code.kernels.direct import Wanted
-from antdsl.machine_code.kernels.direct_text import REAL, RESULTS, TRUTH, UNSIGNED, WHOLE
+from antdsl.machine_code.kernels.direct import ArgumentSpec
+from antdsl.machine_code.kernels.direct_text import INTEGER, REAL, RESULTS, TRUTH, UNSIGNED
 from antdsl.machine_code.kernels.types import INT, ArrayType, Scalar
 from antdsl.machine_code.memory import address
 
 _FORMATS = {"double": "d", "float": "d", "i64": "q", "u64": "Q", "i1": "q"}
-_KINDS = {"double": REAL, "float": REAL, "i64": WHOLE, "u64": UNSIGNED, "i1": WHOLE}
+_KINDS = {"double": REAL, "float": REAL, "i64": INTEGER, "u64": UNSIGNED, "i1": INTEGER}
 
 
 @dataclass(frozen=True, slots=True)
-class Told:
+class KernelDescription:
     """The signature of a kernel's text: the kinds of its results, whether they form a tuple, and the numbers of the arrays that
     it writes to."""
 
@@ -36,102 +36,104 @@ class Told:
         return ";".join((",".join(self.gives), str(int(self.several)), ",".join(map(str, self.stored))))
 
     @classmethod
-    def read(cls, text: str) -> Told:
+    def read(cls, text: str) -> KernelDescription:
         """From such a line."""
         gives, several, stored = (tuple(filter(None, part.split(","))) for part in text.split(";"))
         return cls(gives, several == ("1",), tuple(map(int, stored)))
 
 
-def caller(name: str, code: machine.Code, types: Sequence[Any], told: Told) -> Callable[..., Any]:
+def caller(name: str, code: machine.Code, types: Sequence[Any], description: KernelDescription) -> Callable[..., Any]:
     """Return a function of a kernel's arguments. `types` are those of its annotations."""
-    wanted = list(_wanted(types, told.stored))
-    words = RESULTS + sum(_words(each) for each in wanted)
-    given, several = list(told.gives), told.several
-    kept = _plain(name, code.function(name), types, wanted, words, given, several)
-    if several and len(given) == 1:
-        return kept
-    kinds = [TRUTH if each == "i1" else _KINDS[each] for each in given]
-    return direct.direct(name, code, wanted, words, kinds, kept) or kept
+    specs = list(_argument_specs(types, description.stored))
+    words = RESULTS + sum(_words(each) for each in specs)
+    result_kinds, several = list(description.gives), description.several
+    plain_call = _plain(name, code.function(name), types, specs, words, result_kinds, several)
+    if several and len(result_kinds) == 1:
+        return plain_call
+    kinds = [TRUTH if each == "i1" else _KINDS[each] for each in result_kinds]
+    return direct.direct(name, code, specs, words, kinds, plain_call) or plain_call
 
 
 def parted(
-    name: str, code: machine.Code, types: Sequence[Any], told: Told, whole: Callable[..., Any]
+    name: str, code: machine.Code, types: Sequence[Any], description: KernelDescription, single_call: Callable[..., Any]
 ) -> Callable[..., Any] | None:
     """Return a function that runs a kernel in parts, or None where there is none. The last two arguments of the kernel are where
     its loop begins and ends. The function takes these arguments, a number of parts, and the address of a pool. It returns a list
-    of the kernel's results for each part, which the pool's workers compute. Arguments that it cannot read go to `whole`, in one
-    part."""
-    wanted = list(_wanted(types, told.stored))
-    words = RESULTS + sum(_words(each) for each in wanted)
-    if any(not isinstance(each, Scalar) or each.kind != INT for each in types[-2:]) or (told.several and len(told.gives) == 1):
+    of the kernel's results for each part, which the pool's workers compute. Arguments that it cannot read go to `single_call`, in
+    one part."""
+    specs = list(_argument_specs(types, description.stored))
+    words = RESULTS + sum(_words(each) for each in specs)
+    if any(not isinstance(each, Scalar) or each.kind != INT for each in types[-2:]) or (
+        description.several and len(description.gives) == 1
+    ):
         return None
-    more = [Wanted((len(types) + k,), words + k, WHOLE) for k in range(2)]
-    kinds = [TRUTH if each == "i1" else _KINDS[each] for each in told.gives]
+    range_specs = [ArgumentSpec((len(types) + k,), words + k, INTEGER) for k in range(2)]
+    kinds = [TRUTH if each == "i1" else _KINDS[each] for each in description.gives]
 
     def alone(*arguments: Any) -> list[Any]:
-        return [whole(*arguments[:-2])]
+        return [single_call(*arguments[:-2])]
 
     run = workers_text.code().place("run")
-    found: Callable[..., Any] | None = direct.direct(name, code, [*wanted, *more], words, kinds, alone, run)
-    return found
+    function: Callable[..., Any] | None = direct.direct(name, code, [*specs, *range_specs], words, kinds, alone, run)
+    return function
 
 
-def _wanted(types: Sequence[Any], stored: Sequence[int]) -> Iterator[Wanted]:
+def _argument_specs(types: Sequence[Any], stored: Sequence[int]) -> Iterator[ArgumentSpec]:
     """Yield the arguments that a kernel expects and their positions in the table; a tuple comes before its elements."""
     place, arrays = RESULTS, 0
 
-    def each_of(many: Sequence[Any], path: tuple[int, ...]) -> Iterator[Wanted]:
+    def each_of(many: Sequence[Any], path: tuple[int, ...]) -> Iterator[ArgumentSpec]:
         nonlocal place, arrays
         for index, type in enumerate(many):
             at = (*path, index)
             if isinstance(type, ArrayType):
-                found = Wanted(at, place, 0, type.of.dtype, type.axes, type.strided, arrays in stored)
+                spec = ArgumentSpec(at, place, 0, type.of.dtype, type.axes, type.strided, arrays in stored)
                 arrays += 1
             elif isinstance(type, Scalar):
-                found = Wanted(at, place, _KINDS[type.kind])
+                spec = ArgumentSpec(at, place, _KINDS[type.kind])
             else:
-                yield Wanted(at, count=len(type))
+                yield ArgumentSpec(at, count=len(type))
                 yield from each_of(type, at)
                 continue
-            place += _words(found)
-            yield found
+            place += _words(spec)
+            yield spec
 
     return each_of(types, ())
 
 
-def _words(wanted: Wanted) -> int:
-    if wanted.count is not None:
+def _words(spec: ArgumentSpec) -> int:
+    if spec.count is not None:
         return 0
-    return 1 if wanted.dtype is None else 1 + wanted.axes * (2 if wanted.strided else 1)
+    return 1 if spec.dtype is None else 1 + spec.axes * (2 if spec.strided else 1)
 
 
 def _plain(
-    name: str, function: Any, types: Sequence[Any], wanted: list[Wanted], words: int, given: list[str], several: bool
+    name: str, function: Any, types: Sequence[Any], specs: list[ArgumentSpec], words: int, result_kinds: list[str], several: bool
 ) -> Callable[..., Any]:
     """The same in Python."""
-    told = [each for each in wanted if each.count is None]
-    results = struct.Struct("=" + "".join(_FORMATS[each] for each in given))
-    truths = [k for k, each in enumerate(given) if each == "i1"]
+    word_specs = [each for each in specs if each.count is None]
+    results = struct.Struct("=" + "".join(_FORMATS[each] for each in result_kinds))
+    truths = [k for k, each in enumerate(result_kinds) if each == "i1"]
 
     def run(*arguments: Any) -> Any:
-        room = ctypes.create_string_buffer(8 * words)
-        table = memoryview(room).cast("B")
-        whole, unsigned, real = table.cast("q"), table.cast("Q"), table.cast("d")
-        for each, value in zip(told, list(flat(name, types, arguments)), strict=True):
+        buffer = ctypes.create_string_buffer(8 * words)
+        table = memoryview(buffer).cast("B")
+        integers, unsigned, real = table.cast("q"), table.cast("Q"), table.cast("d")
+        for each, value in zip(word_specs, list(flat(name, types, arguments)), strict=True):
             if each.dtype is not None:
                 for place, word in enumerate(_described(name, each, value), each.place):
-                    whole[place] = word
+                    integers[place] = word
             elif each.kind == REAL:
                 real[each.place] = value
             else:
-                (whole if each.kind == WHOLE else unsigned)[each.place] = int(value)
-        function(ctypes.addressof(room), 0, 0)
-        if not given:
+                (integers if each.kind == INTEGER else unsigned)[each.place] = int(value)
+        function(ctypes.addressof(buffer), 0, 0)
+        if not result_kinds:
             return None
-        found: tuple[Any, ...] = results.unpack_from(room)
+        values: tuple[Any, ...] = results.unpack_from(buffer)
         if truths:
-            found = tuple(bool(value) if k in truths else value for k, value in enumerate(found))
-        return found if several else found[0]
+            values = tuple(bool(value) if k in truths else value for k, value in enumerate(values))
+        return values if several else values[0]
 
     return run
 
@@ -150,17 +152,17 @@ def flat(name: str, types: Sequence[Any], arguments: Sequence[Any]) -> Iterator[
             yield from flat(name, type, argument)
 
 
-def _described(name: str, wanted: Wanted, array: Any) -> tuple[int, ...]:
+def _described(name: str, spec: ArgumentSpec, array: Any) -> tuple[int, ...]:
     """Return the words that describe an array. Raises ValueError for another type or memory layout."""
-    dtype, shape = wanted.dtype, array.shape
+    dtype, shape = spec.dtype, array.shape
     assert dtype is not None
-    if (dtype is not array.dtype and dtype != array.dtype) or len(shape) != wanted.axes:
-        raise ValueError(f"{name} wants an array of {dtype} with {wanted.axes} axes, not of {array.dtype} with {array.ndim}")
-    if wanted.written and not array.flags.writeable:
+    if (dtype is not array.dtype and dtype != array.dtype) or len(shape) != spec.axes:
+        raise ValueError(f"{name} wants an array of {dtype} with {spec.axes} axes, not of {array.dtype} with {array.ndim}")
+    if spec.written and not array.flags.writeable:
         raise ValueError(f"{name} writes to an array that is read-only")
     if not array.flags.aligned:
         raise ValueError(f"{name} wants an array that is aligned to its elements")
-    if not wanted.strided:
+    if not spec.strided:
         return (address(array), *shape)
     size, (one, two) = dtype.itemsize, array.strides
     if (one % size or two % size) and array.size:

@@ -120,7 +120,7 @@ def guarded(run: Callable[..., Any], code: Code) -> Callable[..., Any]:
     def call(*arguments: Any) -> Any:
         output = run(*arguments)
         if word.value:
-            message = code.told(_MESSAGES).split("\n")[word.value - 1]
+            message = code.read_text(_MESSAGES).split("\n")[word.value - 1]
             word.value = 0
             raise KernelFault(message)
         return output

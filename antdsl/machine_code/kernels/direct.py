@@ -39,7 +39,7 @@ class _Pair(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True)
-class Wanted:
+class ArgumentSpec:
     """An argument or an element of one, at `path`. An array takes words of the table from `place` on: its address, its lengths
     and, if `strided`, its steps. A number takes one word. A tuple or record has `count` objects."""
 
@@ -56,34 +56,34 @@ class Wanted:
 def direct(
     name: str,
     code: machine.Code,
-    wanted: Sequence[Wanted],
+    specs: Sequence[ArgumentSpec],
     words: int,
     gives: Sequence[int],
     otherwise: Callable[..., Any],
     run: int = 0,
 ) -> Any:
     """Return the built-in function for code that takes a table of `words` and leaves its results, `gives`, in the first of them.
-    Tuples precede their contents. `run`: the address of a function that runs such code in parts. Then two more words are `wanted`
+    Tuples precede their contents. `run`: the address of a function that runs such code in parts. Then two more words are `specs`
     behind the table, and a list is returned. None where no function can be made."""
     if (
         words + 2 > reading.WORDS
         or len(gives) > reading.RESULTS
-        or any(len(each.path) >= reading.DEPTH for each in wanted)
+        or any(len(each.path) >= reading.DEPTH for each in specs)
         or not possible()
     ):
         return None
-    count = sum(len(each.path) == 1 for each in wanted)
-    head = [code.place(name), count, id(otherwise), len(wanted), len(gives), ctypes.addressof(_here()), run, words, *gives]
-    told = struct.pack(f"={len(head)}q", *head).ljust(8 * reading.HEADER, b"\0") + b"".join(map(_step, wanted))
+    count = sum(len(each.path) == 1 for each in specs)
+    head = [code.place(name), count, id(otherwise), len(specs), len(gives), ctypes.addressof(_addresses()), run, words, *gives]
+    descriptor = struct.pack(f"={len(head)}q", *head).ljust(8 * reading.HEADER, b"\0") + b"".join(map(_step, specs))
     method = _Method(name.encode(), _code().place("direct"), _FASTCALL, None)
     make = ctypes.pythonapi.PyCFunction_NewEx
     make.argtypes, make.restype = (ctypes.c_void_p, ctypes.py_object, ctypes.py_object), ctypes.py_object
     return make(
-        ctypes.addressof(method), told, (method, code, otherwise, _code(), tuple(wanted))
+        ctypes.addressof(method), descriptor, (method, code, otherwise, _code(), tuple(specs))
     )  # which live as long as it does
 
 
-def _step(each: Wanted) -> bytes:
+def _step(each: ArgumentSpec) -> bytes:
     depth, index = len(each.path) - 1, each.path[-1]
     if each.count is not None:
         return struct.pack(f"={reading.STEP}q", reading.TUPLE, depth, index, 0, each.count, 0, 0, 0)
@@ -113,10 +113,10 @@ def possible() -> bool:
         array.flags.writeable = array.ndim > 1
         data, axes, lengths, steps, _, dtype = (ctypes.c_int64 * 6).from_address(id(array) + head)
         flags = ctypes.c_int.from_address(id(array) + head + 48).value
-        kept = _PIECE * array.flags.c_contiguous + _ALIGNED * array.flags.aligned + _WRITEABLE * array.flags.writeable
+        expected_flags = _PIECE * array.flags.c_contiguous + _ALIGNED * array.flags.aligned + _WRITEABLE * array.flags.writeable
         if (data, axes & 0xFFFFFFFF, dtype) != (array.__array_interface__["data"][0], array.ndim, id(array.dtype)):
             return False
-        if flags & (_PIECE | _ALIGNED | _WRITEABLE) != kept:
+        if flags & (_PIECE | _ALIGNED | _WRITEABLE) != expected_flags:
             return False
         for place, values in ((lengths, array.shape), (steps, array.strides)):
             if tuple((ctypes.c_int64 * array.ndim).from_address(place)) != values:
@@ -125,20 +125,20 @@ def possible() -> bool:
     for form, value in zip("ddfqQ?", numbers, strict=True):
         if struct.unpack(form, ctypes.string_at(id(value) + head, struct.calcsize(form)))[0] != value:
             return False
-    for type_ in (tuple, Wanted, int, _Pair):
+    for type_ in (tuple, ArgumentSpec, int, _Pair):
         if ctypes.c_uint64.from_address(id(type_) + reading.TYPE_FLAGS).value != type_.__flags__:
             return False
         if bool(type_.__flags__ & reading.TUPLE_FLAG) != issubclass(type_, tuple):
             return False
-    some = _Pair(array, head)
-    inside = (ctypes.c_int64 * 2).from_address(id(some) + tuple.__basicsize__)
-    types = [ctypes.c_int64.from_address(id(each) + head - 8).value for each in (*some, some)]
-    return tuple(inside) == tuple(map(id, some)) and types == [id(type(each)) for each in (*some, some)]
+    pair = _Pair(array, head)
+    inside = (ctypes.c_int64 * 2).from_address(id(pair) + tuple.__basicsize__)
+    types = [ctypes.c_int64.from_address(id(each) + head - 8).value for each in (*pair, pair)]
+    return tuple(inside) == tuple(map(id, pair)) and types == [id(type(each)) for each in (*pair, pair)]
 
 
 @cache
-def _here() -> ctypes.Array[ctypes.c_int64]:
+def _addresses() -> ctypes.Array[ctypes.c_int64]:
     """Return the addresses of everything that the text calls and compares with, in the order of `CALLS` and `OBJECTS`."""
     calls = [ctypes.cast(getattr(ctypes.pythonapi, name), ctypes.c_void_p).value or 0 for name in reading.CALLS]
-    places = [*calls, *map(id, reading.OBJECTS.values())]
-    return (ctypes.c_int64 * len(places))(*places)
+    addresses = [*calls, *map(id, reading.OBJECTS.values())]
+    return (ctypes.c_int64 * len(addresses))(*addresses)

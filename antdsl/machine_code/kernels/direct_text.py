@@ -14,10 +14,10 @@ from antdsl.machine_code.library import library_text
 WORDS = 256  # of a call's table at most: 2 kB of the stack
 PARTS = 64  # of a job at most
 RESULTS = 8  # words at the beginning of a table for what is given back
-GIVEN = 40  # word of a pool from which on stands what each part of a job gave
+RESULTS_WORD = 40  # word of a pool from which on stands what each part of a job gave
 DEPTH = 6  # tuples within tuples at most
 TYPE_FLAGS, TUPLE_FLAG = 168, 1 << 26  # the place of a type's flags, and the flag of tuples and their subclasses
-REAL, WHOLE, UNSIGNED, TRUTH = range(4)  # kinds of numbers
+REAL, INTEGER, UNSIGNED, TRUTH = range(4)  # kinds of numbers
 ARRAY, TUPLE, NUMBER = range(3)
 STEP = 8  # words that tell of an argument
 HEADER = 16  # words before these
@@ -42,16 +42,16 @@ def text(_: machine.Target) -> str:
     """Return `PyObject *direct(PyObject *told, PyObject *const *given, Py_ssize_t count)` in LLVM's language."""
     head = object.__basicsize__
     names = (*(f"call.{name}" for name in CALLS), *OBJECTS)
-    found = "\n".join([_TEXT, *(_reader(name, number) for number, name in enumerate(names)), ""])
+    code_text = "\n".join([_TEXT, *(_reader(name, number) for number, name in enumerate(names)), ""])
     values = {"HEAD": head, "TYPE": head - 8, "TOLD": bytes_at(), "INSIDE": tuple.__basicsize__, "WORDS": WORDS, "DEPTH": DEPTH}
     values |= {"AXES": head + 8, "LENGTHS": head + 16, "STEPS": head + 24, "DTYPE": head + 40, "FLAGS": head + 48}
     values |= {"STEP": 8 * STEP, "FIRST": 8 * HEADER, "ARRAY": ARRAY, "TUPLE": TUPLE}
     values |= {"TYPE.FLAGS": TYPE_FLAGS, "TUPLE.FLAG": TUPLE_FLAG}
-    values |= {"GIVEN": 8 * GIVEN, "GIVEN.STEP": 8 * RESULTS}
-    values |= {"REAL": REAL, "WHOLE": WHOLE, "UNSIGNED": UNSIGNED, "RESULTS": RESULTS}
+    values |= {"GIVEN": 8 * RESULTS_WORD, "GIVEN.STEP": 8 * RESULTS}
+    values |= {"REAL": REAL, "WHOLE": INTEGER, "UNSIGNED": UNSIGNED, "RESULTS": RESULTS}
     for name, value in values.items():
-        found = found.replace(f"${name}$", str(value))
-    return found
+        code_text = code_text.replace(f"${name}$", str(value))
+    return code_text
 
 
 def _reader(name: str, number: int) -> str:

@@ -53,26 +53,26 @@ class Elements(Arithmetic):
 
     def count(self, array: Array) -> Number:
         """How many elements an array has."""
-        found = array.lengths[0]
+        total = array.lengths[0]
         for each in array.lengths[1:]:
-            found = self.op("mul", INT, found, each)
-        return found
+            total = self.op("mul", INT, total, each)
+        return total
 
     def fetch(self, array: Array, at: Number) -> Number:
         """The element so far behind the first one."""
         scalar = array.of
         if not at.wide:
-            found = self.op("load", scalar.loaded, self._counting(array, at))
+            element = self.op("load", scalar.loaded, self._counting(array, at))
         elif at.first:
             self._check_span(array, at.first)
-            found = self._load_lanes(array, scalar.loaded, self._place(array, at.first))
+            element = self._load_lanes(array, scalar.loaded, self._place(array, at.first))
         else:
-            found = self._gathered(array, at)
+            element = self._gathered(array, at)
         if scalar.kind == TRUTH:
-            return self.op("ne", TRUTH, found, Number("i8", "zeroinitializer" if at.wide else "0", lanes=at.lanes))
+            return self.op("ne", TRUTH, element, Number("i8", "zeroinitializer" if at.wide else "0", lanes=at.lanes))
         if scalar.kind == INT and scalar.stored != "i64":
-            return self.op("zext" if scalar.name.startswith("U") else "sext", INT, found)
-        return found
+            return self.op("zext" if scalar.name.startswith("U") else "sext", INT, element)
+        return element
 
     def _load_lanes(self, array: Array, kind: str, place: Number) -> Number:
         """Load consecutive elements, one for each iteration."""
@@ -95,16 +95,16 @@ class Elements(Arithmetic):
             self.do("store", value, place, x=_aligned(array))
             return
         for lane in range(WIDTH):
-            stored, after = "", ""
+            stored, next_block = "", ""
             if mask.known is None:
-                stored, after = self.label("stored"), self.label("after")
-                self.branch(self.one(mask, lane), stored, after)
+                stored, next_block = self.label("stored"), self.label("after")
+                self.branch(self.one(mask, lane), stored, next_block)
                 self.begin(stored)
             place = self._place(array, self.one(at, lane))
             self.do("store", self.one(value, lane), place)
-            if after:
-                self.jump(after)
-                self.begin(after)
+            if next_block:
+                self.jump(next_block)
+                self.begin(next_block)
 
     def stored(self, scalar: Scalar, item: Number) -> Number:
         """A number as an array of this type holds it."""
@@ -140,17 +140,17 @@ class Elements(Arithmetic):
         if self.mask is None or self.is_reached:
             return place
         if array.steps is not None:
-            counts = self.some(self.mask)
+            counts = self.any_lane(self.mask)
         else:
             counts = self.both(self.compare("ge", at, constant(0)), self.compare("lt", at, self.count(array)))
         return place if counts.known is not None else self.op("select", "ptr", counts, place, ZEROS)
 
-    def _places(self, array: Array, at: Number) -> Number:
+    def _addresses(self, array: Array, at: Number) -> Number:
         """Return the addresses of elements; for inactive lanes that of zeros, which no code writes to."""
-        places = self._place(array, at)
+        addresses = self._place(array, at)
         if self.mask is None or self.mask.known is not None:
-            return places
-        return self.op("select", "ptr", self.mask, places, self.widened(ZEROS))
+            return addresses
+        return self.op("select", "ptr", self.mask, addresses, self.widened(ZEROS))
 
     def consecutive(self, node: ast.AST, array: Array, at: Number, count: int) -> tuple[Number, ...]:
         """Return `count` consecutive elements of an array of numbers, as computed with. `count` is a multiple of four."""
@@ -158,8 +158,8 @@ class Elements(Arithmetic):
         if not at.wide:
             offsets = [self.arithmetic(node, ast.Add(), at, constant(k)) for k in range(count)]
             return tuple(self.fetch(array, each) for each in offsets)
-        places = self._places(array, at)
-        lanes = [self.one(places, lane) for lane in range(WIDTH)]
+        addresses = self._addresses(array, at)
+        lanes = [self.one(addresses, lane) for lane in range(WIDTH)]
         return tuple(each for k in range(0, count, 4) for each in self._four(array, lanes, k))
 
     def _four(self, array: Array, lanes: list[Number], offset: int) -> list[Number]:
@@ -182,13 +182,13 @@ class Elements(Arithmetic):
         place, parts = self._rows(array, first), []
         for k in range(3):
             parts.append(self._load_lanes(array, array.of.kind, self._behind(array, place, WIDTH * k)))
-        found = []
+        columns = []
         for column in range(3):
-            places = range(column, 3 * WIDTH, 3)
-            low = self.mixed(parts[0], parts[1], tuple(k if k < 2 * WIDTH else 0 for k in places))
-            order = tuple(k - WIDTH if k >= 2 * WIDTH else lane for lane, k in enumerate(places))
-            found.append(self.mixed(low, parts[2], order))
-        return tuple(found)
+            positions = range(column, 3 * WIDTH, 3)
+            low = self.mixed(parts[0], parts[1], tuple(k if k < 2 * WIDTH else 0 for k in positions))
+            order = tuple(k - WIDTH if k >= 2 * WIDTH else lane for lane, k in enumerate(positions))
+            columns.append(self.mixed(low, parts[2], order))
+        return tuple(columns)
 
     def _rows(self, array: Array, first: Number) -> Number:
         """Return the address of consecutive rows of three elements from `first` on."""
@@ -209,11 +209,11 @@ class Elements(Arithmetic):
             values = [self.select(mask, *each) for each in zip(values, self._three_lanes(array, row.first), strict=True)]
         place = self._rows(array, row.first)
         for part in range(3):
-            places = [divmod(k, 3) for k in range(WIDTH * part, WIDTH * (part + 1))]
-            two = self.mixed(values[0], values[1], tuple(lane + WIDTH * (c == 1) for lane, c in places))
-            order = tuple(WIDTH + lane if c == 2 else k for k, (lane, c) in enumerate(places))
-            there = self._behind(array, place, WIDTH * part)
-            self.do("store", self.mixed(two, values[2], order), there, x=_aligned(array))
+            positions = [divmod(k, 3) for k in range(WIDTH * part, WIDTH * (part + 1))]
+            two = self.mixed(values[0], values[1], tuple(lane + WIDTH * (c == 1) for lane, c in positions))
+            order = tuple(WIDTH + lane if c == 2 else k for k, (lane, c) in enumerate(positions))
+            address = self._behind(array, place, WIDTH * part)
+            self.do("store", self.mixed(two, values[2], order), address, x=_aligned(array))
 
     def _offsets(self, node: ast.AST, array: Array, row: Number) -> list[Number]:
         """Return the offsets of a row's elements from the first element of an array."""
@@ -226,8 +226,8 @@ class Elements(Arithmetic):
         return ()
 
     def _gathered(self, array: Array, at: Number) -> Number:
-        places = self._places(array, at)
-        return self.together(self.op("load", array.of.loaded, self.one(places, lane)) for lane in range(WIDTH))
+        addresses = self._addresses(array, at)
+        return self.together(self.op("load", array.of.loaded, self.one(addresses, lane)) for lane in range(WIDTH))
 
 
 def _aligned(array: Array) -> str:

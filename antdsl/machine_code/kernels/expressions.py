@@ -39,10 +39,10 @@ class Expressions(Elements):
         raise NotImplementedError
 
     def number(self, node: ast.expr) -> Number:
-        found = self.value(node)
-        if not isinstance(found, Number):
+        value = self.value(node)
+        if not isinstance(value, Number):
             self.fail(node, "a number is wanted here")
-        return found
+        return value
 
     def truth(self, node: ast.expr) -> Number:
         value = self.number(node)
@@ -108,14 +108,14 @@ class Expressions(Elements):
 
     def _compared(self, parts: list[ast.expr], operators: list[ast.cmpop]) -> Number:
         values = [self.number(part) for part in parts]
-        found = None
+        conjunction = None
         for (a, b), operator in zip(pairwise(values), operators, strict=True):
             if type(operator) not in _COMPARED:
                 self.fail(parts[0], "no such comparison")
             held = self.compare(_COMPARED[type(operator)], a, b)
-            found = held if found is None else self.both(found, held)
-        assert found is not None
-        return found
+            conjunction = held if conjunction is None else self.both(conjunction, held)
+        assert conjunction is not None
+        return conjunction
 
     def _both(self, every: bool, parts: list[ast.expr]) -> Number:
         """Evaluate later parts only where they count, as in Python."""
@@ -126,13 +126,13 @@ class Expressions(Elements):
             return self._both(every, parts[1:])
         if self.mask is not None:
             return self._both_wide(first, every, parts[1:])
-        place, more, done = self.slot(TRUTH), self.label("more"), self.label("both")
+        place, rest, end = self.slot(TRUTH), self.label("more"), self.label("both")
         self.put(place, first)
-        self.branch(first, *((more, done) if every else (done, more)))
-        self.begin(more)
+        self.branch(first, *((rest, end) if every else (end, rest)))
+        self.begin(rest)
         self.put(place, self._both(every, parts[1:]))
-        self.jump(done)
-        self.begin(done)
+        self.jump(end)
+        self.begin(end)
         return self.load(place, TRUTH)
 
     def _chosen(self, node: ast.expr, test: ast.expr, then: ast.expr, other: ast.expr) -> Item:
@@ -141,7 +141,7 @@ class Expressions(Elements):
             return self.value(then if condition.known else other)
         if condition.wide:
             return self._chosen_wide(node, condition, then, other)
-        yes, no, done = self.label("yes"), self.label("no"), self.label("chosen")
+        yes, no, end = self.label("yes"), self.label("no"), self.label("chosen")
         self.branch(condition, yes, no)
         self.begin(yes)
         first = self.value(then)
@@ -151,14 +151,14 @@ class Expressions(Elements):
         pairs = list(zip(leaves(first), leaves(second), strict=True))
         kinds = [a.kind if a.kind == b.kind else self._common(a, b) for a, b in pairs]
         lanes = [max(a.lanes, b.lanes) for a, b in pairs]
-        places = [self.slot(kind, each) for kind, each in zip(kinds, lanes, strict=True)]
-        self._stored(second, kinds, lanes, places)
-        self.jump(done)
+        slots = [self.slot(kind, each) for kind, each in zip(kinds, lanes, strict=True)]
+        self._stored(second, kinds, lanes, slots)
+        self.jump(end)
         self.block_now = after_first
-        self._stored(first, kinds, lanes, places)
-        self.jump(done)
-        self.begin(done)
-        loaded = iter([self.load(place, kind, each) for kind, place, each in zip(kinds, places, lanes, strict=True)])
+        self._stored(first, kinds, lanes, slots)
+        self.jump(end)
+        self.begin(end)
+        loaded = iter([self.load(place, kind, each) for kind, place, each in zip(kinds, slots, lanes, strict=True)])
 
         def again(item: Item) -> Item:
             if isinstance(item, Array):
@@ -173,8 +173,8 @@ class Expressions(Elements):
             return self.paired(a, b)[0].kind
         return DOUBLE if DOUBLE in kinds else INT
 
-    def _stored(self, item: Item, kinds: list[str], lanes: list[int], places: list[Number]) -> None:
-        for number, kind, each, place in zip(leaves(item), kinds, lanes, places, strict=True):
+    def _stored(self, item: Item, kinds: list[str], lanes: list[int], slots: list[Number]) -> None:
+        for number, kind, each, place in zip(leaves(item), kinds, lanes, slots, strict=True):
             value = self.convert(number, kind)
             self.put(place, self.widened(value) if each > 1 else value)
 
@@ -186,11 +186,11 @@ class Expressions(Elements):
     @contextmanager
     def where(self, condition: Number) -> Iterator[None]:
         """Restrict the code that is written in the context to lanes for which a condition holds."""
-        before = self.mask
-        assert before is not None
-        self.mask = self.both(before, condition)
+        outer_mask = self.mask
+        assert outer_mask is not None
+        self.mask = self.both(outer_mask, condition)
         yield
-        self.mask = before
+        self.mask = outer_mask
 
     def _both_wide(self, first: Number, every: bool, parts: list[ast.expr]) -> Number:
         first = self.widened(first)
@@ -272,7 +272,7 @@ class Expressions(Elements):
             count, dtype = self.number(arguments[0]), self.known(node, arguments[1])
             if count.known is None or not isinstance(dtype, Scalar):
                 self.fail(node, "scratch(COUNT, TYPE) with a count of the text")
-            return Array(dtype, self.room(int(count.known), dtype.stored), (count,))
+            return Array(dtype, self.allocate(int(count.known), dtype.stored), (count,))
         inputs = [self.value(each) for each in arguments]
         if known in (consecutive, fetch_ahead, three, put_three):
             return self._elements(node, known, inputs)

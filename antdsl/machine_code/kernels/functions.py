@@ -49,7 +49,7 @@ def fetch_ahead(array: Any, at: int) -> None:
     """Prefetch the cache line of an element. Any index is allowed."""
 
 
-def whole(value: float) -> int:
+def nearest_integer(value: float) -> int:
     """Return the nearest integer to a float64, for results below 51 bits. Other inputs give an unspecified number."""
     return round(value) if abs(value) < 2.0**51 else 0
 
@@ -117,7 +117,7 @@ def _bits(w: Writer, a: Number) -> Number:
     return w.op("bitcast", INT, w.convert(a, DOUBLE))
 
 
-def _whole(w: Writer, a: Number) -> Number:
+def _nearest_integer(w: Writer, a: Number) -> Number:
     bits = _bits(w, w.arithmetic(ast.Pass(), ast.Add(), a, constant(_TIED)))
     return w.arithmetic(ast.Pass(), ast.Sub(), bits, constant(as_bits(_TIED)))
 
@@ -141,5 +141,5 @@ WRITTEN: Mapping[Any, Callable[..., Number]] = {
     np.isfinite: _finite, math.isfinite: _finite, np.isnan: _nan, math.isnan: _nan, int: _to(INT), np.int64: _to(INT),
     np.intp: _to(INT), np.uint64: _to(UNSIGNED), float: _to(DOUBLE), np.float64: _to(DOUBLE), np.float32: _to(FLOAT),
     bool: _to(TRUTH), np.bool_: _to(TRUTH), np.int32: _narrowed(32, True), np.uint32: _narrowed(32, False),
-    as_bits: _bits, as_float: _float, whole: _whole,
+    as_bits: _bits, as_float: _float, nearest_integer: _nearest_integer,
 }  # fmt: skip

@@ -48,7 +48,9 @@ class Interpreter:
         with np.errstate(all="ignore"):
             output = run_code(self._codes[self._name], passed)
         numbers = list(leaves(self._result))
-        values = [_given(each, value) for each, value in zip(numbers, output if len(numbers) > 1 else (output,), strict=False)]
+        values = [
+            _argument_value(each, value) for each, value in zip(numbers, output if len(numbers) > 1 else (output,), strict=False)
+        ]
         if not numbers:
             return None
         return tuple(values) if isinstance(self._result, tuple) else values[0]
@@ -92,7 +94,7 @@ def _array(array: Any, type: ArrayType) -> list[Any]:
     return [Pointer(memory, start - low if array.size else 0), *map(np.int64, array.shape), *steps]
 
 
-def _given(number: Item, value: Any) -> Any:
+def _argument_value(number: Item, value: Any) -> Any:
     if number.kind in ("double", "float"):
         return float(value)
     return bool(value) if number.kind == "i1" else int(value) & ((1 << 64) - 1) if number.kind == UNSIGNED else int(value)

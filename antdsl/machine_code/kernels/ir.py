@@ -103,7 +103,7 @@ class Builder(ABC, Generic[Value]):
         """A place on the stack."""
         return self._alloca("a", text_type(kind, lanes))
 
-    def room(self, count: int, stored: str) -> Number:
+    def allocate(self, count: int, stored: str) -> Number:
         """Places on the stack for so many numbers."""
         return self._alloca("s", f"[{count} x {stored}], align 64")
 
@@ -178,13 +178,13 @@ class _Verifier:
         if not _fits(op, types, gives):
             self.fail(each, "types do not fit the operation")
         if op in _OF_MORE:
-            self._more(each, types, gives)
+            self._check_rest(each, types, gives)
         if result is not None:
             if result.name in known:
                 self.fail(each, "the name is given twice")
             known[result.name] = gives
 
-    def _more(self, each: Instruction, types: tuple[str, ...], gives: str) -> None:
+    def _check_rest(self, each: Instruction, types: tuple[str, ...], gives: str) -> None:
         """What goes by more than types."""
         op, _, operands, extra, _ = each
         if op in ("load", "store"):

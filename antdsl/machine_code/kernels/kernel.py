@@ -16,7 +16,7 @@ from typing import Any, TypeVar
 from antdsl.machine_code import codes, library, machine
 from antdsl.machine_code.entries import entry
 from antdsl.machine_code.kernels import sources
-from antdsl.machine_code.kernels.calling import Told, caller, parted
+from antdsl.machine_code.kernels.calling import KernelDescription, caller, parted
 from antdsl.machine_code.kernels.checks import CHECKED, Checks, guarded
 from antdsl.machine_code.kernels.direct_text import RESULTS
 from antdsl.machine_code.kernels.ir import Function, verify
@@ -90,9 +90,9 @@ class Kernel:
 
     def _first(self, *arguments: Any) -> Any:
         """The first call."""
-        return self.made()(*arguments)
+        return self.load_function()(*arguments)
 
-    def made(self) -> Callable[..., Any]:
+    def load_function(self) -> Callable[..., Any]:
         """Return the function that calls the machine code, which is compiled or loaded if needed. Raises NoMachineCode."""
         with self._lock:
             if self._run is None:
@@ -100,30 +100,34 @@ class Kernel:
                 types, host = self.types(), machine.host()
                 code = codes.code(self.named(host), lambda: self.text(host))
                 self._run = self.__call__ = run = self.caller(code)
-                self._apart = cache(lambda: _guarded(parted(self.__name__, code, types, self._told(code), run), code, CHECKED))
+                self._apart = cache(
+                    lambda: _guarded(parted(self.__name__, code, types, self._description(code), run), code, CHECKED)
+                )
             return self._run
 
     def caller(self, code: machine.Code, checked: bool = CHECKED) -> Callable[..., Any]:
         """Return the function that calls the code of a text that contains this kernel."""
-        found: Callable[..., Any] = _guarded(caller(self.__name__, code, self.types(), self._told(code)), code, checked)
-        return found
+        guarded_call: Callable[..., Any] = _guarded(
+            caller(self.__name__, code, self.types(), self._description(code)), code, checked
+        )
+        return guarded_call
 
-    def _told(self, code: machine.Code) -> Told:
-        return Told.read(code.told(_description_name(self.__name__)))
+    def _description(self, code: machine.Code) -> KernelDescription:
+        return KernelDescription.read(code.read_text(_description_name(self.__name__)))
 
     def parted(self) -> Callable[..., list[Any]] | None:
         """Return the function that runs its machine code on a pool of workers, as in `calling.parted`; None where there is
         none."""
         if self._apart is None:
-            self.made()
+            self.load_function()
         assert self._apart is not None
         return self._apart()
 
-    def kept(self) -> bool:
+    def has_code(self) -> bool:
         """Whether its machine code is there, in memory or from another run."""
         if self._run is not None:
             return True
-        return codes.kept(self.named(machine.host()))
+        return codes.is_available(self.named(machine.host()))
 
     def named(self, target: machine.Target) -> str:
         """Return the name of its text: the key of its sources, or else the text."""
@@ -154,7 +158,7 @@ def text_of(kernels: Sequence[Kernel], target: machine.Target, checked: bool = C
     entries = [line for each in kernels for line in _entry(each, unit, module, tables)]
     verify(unit.functions)
     functions = rendered(unit.functions, Checks() if checked else None, tables)
-    return "\n".join([f"; {machine.WHOLE}", module.text(), *functions, *entries, *(tables.text() if tables else [])]) + "\n"
+    return "\n".join([f"; {machine.ALL_PASSES}", module.text(), *functions, *entries, *(tables.text() if tables else [])]) + "\n"
 
 
 def _entry(kernel: Kernel, unit: Unit, module: Module, tables: LineTables | None) -> tuple[str, str]:
@@ -163,16 +167,16 @@ def _entry(kernel: Kernel, unit: Unit, module: Module, tables: LineTables | None
     inputs = [_argument(each, words, body, arrays) for each in kernel.types()]
     name, result = written(unit, kernel.part, inputs)
     arguments = ", ".join(each.typed for item in inputs for each in leaves(item))
-    found = list(leaves(result))
-    if len(found) > RESULTS:
+    results = list(leaves(result))
+    if len(results) > RESULTS:
         raise TypeError(f"{kernel.__name__} gives back more than {RESULTS} numbers")
     code = kernel.part.function.__code__
     line_table = "" if tables is None else tables.begin(kernel.__name__, code.co_filename, code.co_firstlineno)
     call = f"call {result_type(result)} {name}({arguments})" + ("" if tables is None else tables.of(0))
-    body.append(f"  {call}" if not found else f"  %given = {call}")
-    for k, each in enumerate(found):
+    body.append(f"  {call}" if not results else f"  %given = {call}")
+    for k, each in enumerate(results):
         value = "%given"
-        if len(found) > 1:
+        if len(results) > 1:
             value = f"%given{k}"
             body.append(f"  {value} = extractvalue {result_type(result)} %given, {k}")
         stored = LLVM[each.kind]
@@ -183,8 +187,8 @@ def _entry(kernel: Kernel, unit: Unit, module: Module, tables: LineTables | None
             body.append(f"  %wide{k} = fpext float {value} to double")
             value, stored = f"%wide{k}", "double"
         body.append(f"  %to{k} = getelementptr i64, ptr %t, i64 {k}\n  store {stored} {value}, ptr %to{k}")
-    several = isinstance(result, tuple) and bool(found)
-    line = Told(tuple(each.kind for each in found), several, tuple(sorted(unit.written))).text()
+    several = isinstance(result, tuple) and bool(results)
+    line = KernelDescription(tuple(each.kind for each in results), several, tuple(sorted(unit.written))).text()
     constant = f'@{_description_name(kernel.__name__)} = constant [{len(line) + 1} x i8] c"{line}\\00"'
     return constant, entry(module, kernel.__name__, "\n".join(body), line_table)
 

@@ -34,14 +34,15 @@ class Operation(NamedTuple):
     `gives`: the same for the result; `2` is the type of the second operand.
 
     `text` formats the operands, the result `r` and the immediate `x`. `meaning` is a function of NumPy scalars; the interpreter
-    implements operations without one. `more`: extra types in the declaration of an LLVM function, after those of the operands."""
+    implements operations without one. `extra_types`: extra types in the declaration of an LLVM function, after those of the
+    operands."""
 
     takes: str
     gives: str
     text: str
     meaning: Callable[..., Any] | None = None
     lanewise: bool = True
-    more: str = ""
+    extra_types: str = ""
 
 
 def unsigned(a: Any) -> int:
@@ -120,8 +121,8 @@ def _casts(takes: str, gives: str, meanings: Mapping[str, Callable[..., Any]]) -
 
 
 def _functions(takes: str, meanings: Mapping[str, Callable[..., Any]]) -> dict[str, Operation]:
-    given = ", ".join(f"{{{k}.typed}}" for k in range(len(takes)))
-    text = "call {r.type} @llvm.NAME.{0.suffix}(" + given + ")"
+    arguments = ", ".join(f"{{{k}.typed}}" for k in range(len(takes)))
+    text = "call {r.type} @llvm.NAME.{0.suffix}(" + arguments + ")"
     return {name: Operation(takes, "=", text.replace("NAME", name), meaning) for name, meaning in meanings.items()}
 
 
@@ -149,7 +150,7 @@ OPS: Final[Mapping[str, Operation]] = {
     **_binary("i=", {"udiv": _unsigned(operator.floordiv), "urem": _unsigned(operator.mod), "lshr": _unsigned(operator.rshift)}),
     **_functions("i", {"ctpop": lambda a: a.dtype.type(unsigned(a).bit_count())}),
     **_functions("i=", {"smin": min}),
-    "cttz": Operation("i", "=", "call {r.type} @llvm.cttz.{0.suffix}({0.typed}, i1 true)", _zeros_below, more=", i1"),
+    "cttz": Operation("i", "=", "call {r.type} @llvm.cttz.{0.suffix}({0.typed}, i1 true)", _zeros_below, extra_types=", i1"),
     **_binary("i=", {"shl": operator.lshift, "ashr": operator.rshift}),
     **_binary("n=", {"and": operator.and_, "or": operator.or_, "xor": operator.xor}),
     **_compared("f=", "f", "fcmp", "o", {**_ORDER, "eq": operator.eq}),
@@ -175,7 +176,7 @@ OPS: Final[Mapping[str, Operation]] = {
     "atomic.max": Operation("pi", "2", "atomicrmw max {0.typed}, {1.typed} monotonic", max, lanewise=False),
     "is_null": Operation("p", "b", "icmp eq {0.typed}, null"),
     "prefetch": Operation(
-        "p", "", "call void @llvm.prefetch.p0({0.typed}, i32 0, i32 3, i32 1)", lanewise=False, more=", i32, i32, i32"
+        "p", "", "call void @llvm.prefetch.p0({0.typed}, i32 0, i32 3, i32 1)", lanewise=False, extra_types=", i32, i32, i32"
     ),
     # Lanes. `x`: the number of a lane, or the numbers of several.
     "insertelement": Operation("vv", "=", "insertelement {0.typed}, {1.typed}, i64 {x}", lanewise=False),

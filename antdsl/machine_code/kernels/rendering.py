@@ -77,4 +77,4 @@ def _pattern(op: str, types: tuple[str, ...], gives: str, extra: Any) -> tuple[s
     if "@llvm" not in text:
         return text, None
     name = text[text.index("@") : text.index("(")]
-    return text, (name, f"declare {gives} {name}({', '.join(types)}{operation.more})")
+    return text, (name, f"declare {gives} {name}({', '.join(types)}{operation.extra_types})")

@@ -64,38 +64,38 @@ class SideBySide(Writer):
         return Variable(item.kind, place, WIDTH)
 
     def assign(self, node: ast.AST, name: str, item: Item) -> None:
-        once = self.mask is not None and isinstance(item, Number) and bool(item.first)
-        if once and self.mask == ALL and name not in self.variables and stored_names(self.definition)[name] == 1:
+        is_consecutive = self.mask is not None and isinstance(item, Number) and bool(item.first)
+        if is_consecutive and self.mask == ALL and name not in self.variables and stored_names(self.definition)[name] == 1:
             self.variables[name] = item  # stays known to follow from turn to turn
         else:
             super().assign(node, name, item)
 
-    def change(self, node: ast.AST, room: Variable, value: Number) -> None:
+    def change(self, node: ast.AST, variable: Variable, value: Number) -> None:
         if self.mask is None:
-            super().change(node, room, value)
+            super().change(node, variable, value)
             return
-        if not room.wide:
+        if not variable.wide:
             self.fail(node, "what several turns would change at once belongs to none of them")
         value = self.widened(value)
-        if self.mask.known is None and room.place not in self.fresh:
-            value = self.select(self.mask, value, self.load(room.place, room.kind, WIDTH))
-        self.fresh.discard(room.place)
-        self.put(room.place, value)
+        if self.mask.known is None and variable.place not in self.fresh:
+            value = self.select(self.mask, value, self.load(variable.place, variable.kind, WIDTH))
+        self.fresh.discard(variable.place)
+        self.put(variable.place, value)
 
     # --- statements ----------------------------------------------------------------------------------------------------
 
     def _within(self, mask: Number, write: Callable[[], None]) -> None:
         """Write code that runs if a mask holds for at least one iteration."""
-        before, reached, then, done = self.mask, self.reached, self.label("then"), self.label("done")
+        outer_mask, reached, then, end = self.mask, self.reached, self.label("then"), self.label("done")
         if mask.known is None:
-            self.branch(self.some(mask), then, done)
+            self.branch(self.any_lane(mask), then, end)
             self.begin(then)
         self.mask = self.reached = mask
         write()
-        self.mask, self.reached, self.open = before, reached, True
+        self.mask, self.reached, self.open = outer_mask, reached, True
         if mask.known is None:
-            self.jump(done)
-            self.begin(done)
+            self.jump(end)
+            self.begin(end)
 
     def if_(self, test: ast.expr, then: list[ast.stmt], other: list[ast.stmt]) -> None:
         if self.mask is None:
@@ -107,13 +107,13 @@ class SideBySide(Writer):
             return
         fresh = set(self.fresh)
         condition = self.widened(condition)
-        here = self.mask
-        self._within(self.both(here, condition), lambda: self.block(then))
-        made = self.fresh - fresh
+        outer_mask = self.mask
+        self._within(self.both(outer_mask, condition), lambda: self.block(then))
+        new_places = self.fresh - fresh
         self.fresh &= fresh
         if other:
-            self._within(self.both(here, self.inverted(condition)), lambda: self.block(other))
-        self.fresh -= made
+            self._within(self.both(outer_mask, self.inverted(condition)), lambda: self.block(other))
+        self.fresh -= new_places
         self._again([*then, *other])
 
     def _again(self, body: list[ast.stmt]) -> None:
@@ -139,30 +139,30 @@ class SideBySide(Writer):
         if self.mask is None:
             super().while_(test, body)
             return
-        before, turns = self.mask, self._enter()
+        outer_mask, turns = self.mask, self._enter()
         head, inner, end = self.label("while"), self.label("body"), self.label("end")
         self.jump(head)
         self.begin(head)
         self.mask = self.load(turns.inside, TRUTH, WIDTH)
-        here = self.both(self.mask, self.widened(self.truth(test)))
-        self.put(turns.inside, here)
-        self.put(turns.now, here)
-        self.branch(self.some(here), inner, end)
+        active_mask = self.both(self.mask, self.widened(self.truth(test)))
+        self.put(turns.inside, active_mask)
+        self.put(turns.now, active_mask)
+        self.branch(self.any_lane(active_mask), inner, end)
         self.begin(inner)
         reached = self.reached
-        self.mask = self.reached = here
+        self.mask = self.reached = active_mask
         self.block(body)
         self.reached = reached
         self.jump(head)
         self.begin(end)
-        self._left(before, body)
+        self._left(outer_mask, body)
 
-    def _left(self, before: Number, body: list[ast.stmt]) -> None:
+    def _left(self, outer_mask: Number, body: list[ast.stmt]) -> None:
         """Restore the mask after a loop, without the iterations that left the function in it."""
         self.turns.pop()
-        self.mask, self.open = before, True
+        self.mask, self.open = outer_mask, True
         if any(isinstance(each, ast.Return) for statement in body for each in ast.walk(statement)):
-            self.mask = self.both(before, self.load(self.turns[-1].now, TRUTH, WIDTH))
+            self.mask = self.both(outer_mask, self.load(self.turns[-1].now, TRUTH, WIDTH))
 
     def counted(
         self, name: str, begin: Number, end: Number, step: int, body: list[ast.stmt], write: Callable[[], None] | None = None
@@ -176,30 +176,30 @@ class SideBySide(Writer):
         if not wide and not _has_leaves(body):
             self._uniform(name, begin, end, step, write)
             return
-        before, turns = self.mask, self._enter()
+        outer_mask, turns = self.mask, self._enter()
         lanes = WIDTH if wide else 1
         number = self.slot(INT, lanes)
         begin, end = (self.widened(begin), self.widened(end)) if wide else (begin, end)
         self.put(number, begin)
-        head, inner, done = self.label("for"), self.label("body"), self.label("end")
+        head, inner, exit_label = self.label("for"), self.label("body"), self.label("end")
         self.jump(head)
         self.begin(head)
         at = self.load(number, INT, lanes)
-        here = self.both(self.load(turns.inside, TRUTH, WIDTH), self.compare("lt" if step > 0 else "gt", at, end))
-        here = self.widened(here)
-        self.put(turns.inside, here)
-        self.put(turns.now, here)
-        self.branch(self.some(here), inner, done)
+        active_mask = self.both(self.load(turns.inside, TRUTH, WIDTH), self.compare("lt" if step > 0 else "gt", at, end))
+        active_mask = self.widened(active_mask)
+        self.put(turns.inside, active_mask)
+        self.put(turns.now, active_mask)
+        self.branch(self.any_lane(active_mask), inner, exit_label)
         self.begin(inner)
         reached = self.reached
-        self.mask, self.reached, self.variables[name] = here, here, at
+        self.mask, self.reached, self.variables[name] = active_mask, active_mask, at
         write()
         self.reached = reached
         self.put(number, self.arithmetic(ast.Pass(), ast.Add(), at, constant(step)))
         self.jump(head)
-        self.begin(done)
+        self.begin(exit_label)
         self.variables.pop(name, None)
-        self._left(before, body)
+        self._left(outer_mask, body)
 
     def _uniform(self, name: str, begin: Number, end: Number, step: int, write: Callable[[], None]) -> None:
         """Write a loop over the same numbers for all iterations, which none leaves. Their mask does not change."""
@@ -215,23 +215,23 @@ class SideBySide(Writer):
         """Write a loop over numbers that all lanes share. Its body is written in the context."""
         number = self.slot(INT)
         self.put(number, begin)
-        head, inner, done = self.label("for"), self.label("body"), self.label("end")
+        head, inner, exit_label = self.label("for"), self.label("body"), self.label("end")
         self.jump(head)
         self.begin(head)
         at = self.load(number, INT)
-        self.branch(self.compare("lt" if step > 0 else "gt", at, end), inner, done)
+        self.branch(self.compare("lt" if step > 0 else "gt", at, end), inner, exit_label)
         self.begin(inner)
         yield at
         self.put(number, self.arithmetic(ast.Pass(), ast.Add(), at, constant(step)))
         self.jump(head)
-        self.begin(done)
+        self.begin(exit_label)
 
     def written_out(self, node: ast.AST, target: ast.expr, items: list[Item], body: list[ast.stmt]) -> None:
         if self.mask is None:
             super().written_out(node, target, items, body)
             return
         left = _has_leaves(body)
-        before, turns = self.mask, self._enter()
+        outer_mask, turns = self.mask, self._enter()
         for item in items:
             if left:
                 self.mask = self.load(turns.inside, TRUTH, WIDTH)
@@ -240,7 +240,7 @@ class SideBySide(Writer):
             self.block(body)
             self.open = True
         self.unbind(target)
-        self._left(before, body)
+        self._left(outer_mask, body)
 
     def give_back(self, node: ast.AST, item: Item) -> None:
         if self.mask is None:
@@ -251,8 +251,8 @@ class SideBySide(Writer):
         if not self.returns:
             self.results = [self.variable(self.widened(each)) for each in leaves(item)]
         self.result, self.returns, self.open = self._wide(item), True, False
-        for room, each in zip(self.results, leaves(item), strict=True):
-            self.change(node, room, each)
+        for variable, each in zip(self.results, leaves(item), strict=True):
+            self.change(node, variable, each)
         for turns in self.turns:
             self._clear(turns.now)
             self._clear(turns.inside)
@@ -305,20 +305,22 @@ class SideBySide(Writer):
             self.fit(node, each.arg, item, types.get(each.arg, Any))
         wide = self.mask is not None and any(each.wide for item in inputs for each in leaves(item))
         name, result = written(self.unit, part, inputs, wide)
-        given = [each for item in inputs for each in leaves(item)]
+        operands = [each for item in inputs for each in leaves(item)]
         if wide:
             assert self.mask is not None
-            given.append(self.mask)
+            operands.append(self.mask)
         numbers = list(leaves(result))
         if not numbers:
-            self.do("call", *given, x=name)
+            self.do("call", *operands, x=name)
             return ()
         if len(numbers) == 1:
-            found = [self.op("call", numbers[0].kind, *given, x=name, lanes=numbers[0].lanes).name]
+            value_names = [self.op("call", numbers[0].kind, *operands, x=name, lanes=numbers[0].lanes).name]
         else:
-            whole = self.op("call", result_type(result), *given, x=name, lanes=1)
-            found = [self.op("extractvalue", each.kind, whole, x=k, lanes=each.lanes).name for k, each in enumerate(numbers)]
-        return renamed(result, iter(found))
+            aggregate = self.op("call", result_type(result), *operands, x=name, lanes=1)
+            value_names = [
+                self.op("extractvalue", each.kind, aggregate, x=k, lanes=each.lanes).name for k, each in enumerate(numbers)
+            ]
+        return renamed(result, iter(value_names))
 
 
 def _has_leaves(body: list[ast.stmt]) -> bool:
@@ -330,9 +332,9 @@ def written(unit: Unit, part: Any, inputs: list[Item], wide: bool = False) -> tu
     """Return the name and the result of a part's function for items of these types, written once. `wide`: for several turns in
     SIMD lanes; the last argument is the mask of those that count."""
     key = (part, ",".join(types_of(each) for each in inputs) + ("," if wide else ""))
-    if key not in unit.made:
-        name = f"@{part.function.__name__}.{len(unit.made)}"
-        unit.made[key] = name, None
+    if key not in unit.specialisations:
+        name = f"@{part.function.__name__}.{len(unit.specialisations)}"
+        unit.specialisations[key] = name, None
         numbers = iter(f"%x{k}" for k in range(100_000))
         own = [renamed(each, numbers) for each in inputs]
         mask = Number(TRUTH, "%mask", lanes=WIDTH) if wide else None
@@ -340,7 +342,7 @@ def written(unit: Unit, part: Any, inputs: list[Item], wide: bool = False) -> tu
         arguments = [each for item in own for each in leaves(item)] + ([mask] if mask else [])
         w.run(own)
         unit.functions.append(Function(name, w.file, arguments, part.attribute, result_type(w.result), w.slots, w.blocks))
-        unit.made[key] = name, w.result
-    elif unit.made[key][1] is None:
+        unit.specialisations[key] = name, w.result
+    elif unit.specialisations[key][1] is None:
         raise RecursionError(f"{part} calls itself")
-    return unit.made[key]
+    return unit.specialisations[key]

@@ -31,14 +31,14 @@ class _Unknown(Exception):
 
 def key(part: Any, types: list[Any]) -> str | None:
     """Return a key for the text of a kernel with arguments of these types; None where there is none. A text begins otherwise."""
-    told: list[str] = [_writers(), f"checked {CHECKED}", *map(_written, types)]
+    parts: list[str] = [_writers(), f"checked {CHECKED}", *map(_written, types)]
     known: dict[int, int] = {}
     try:
-        _function(part, told, known)
+        _function(part, parts, known)
     except (_Unknown, OSError, ValueError):
         return None
     hashed = blake2b(digest_size=32)
-    for each in told:
+    for each in parts:
         data = each.encode("utf-8", "surrogatepass")
         hashed.update(len(data).to_bytes(8, "little") + data)
     return "sources " + hashed.hexdigest()
@@ -59,13 +59,13 @@ def _repr(type: Any) -> str:
 @cache
 def _writers() -> str:
     """What reads and writes the texts of kernels."""
-    here = Path(machine_code.__file__).parent
-    return "".join(_digest(str(each)) for each in sorted(here.rglob("*.py")))
+    folder = Path(machine_code.__file__).parent
+    return "".join(_digest(str(each)) for each in sorted(folder.rglob("*.py")))
 
 
 def _digest(path: str) -> str:
-    about = os.stat(path)
-    return _digest_of(path, about.st_mtime_ns, about.st_size)
+    file_stat = os.stat(path)
+    return _digest_of(path, file_stat.st_mtime_ns, file_stat.st_size)
 
 
 @cache
@@ -73,22 +73,22 @@ def _digest_of(path: str, changed: int, size: int) -> str:
     return blake2b(read_bounded(path, _LARGEST), digest_size=16).hexdigest()
 
 
-def _function(part: Any, told: list[str], known: dict[int, int]) -> None:
+def _function(part: Any, parts: list[str], known: dict[int, int]) -> None:
     """Append the description of a function of kernels, and of the values of its names. One that is already described is referred
     to by its number."""
     function: FunctionType = part.function
     if id(function) in known:
-        told.append(f"function {known[id(function)]}")
+        parts.append(f"function {known[id(function)]}")
         return
     known[id(function)] = len(known)
     code, world = function.__code__, function.__globals__
     place = f"{function.__module__} {function.__qualname__} {code.co_firstlineno} {part.attribute}"
-    told.append(f"{place} {_digest(code.co_filename)}")
+    parts.append(f"{place} {_digest(code.co_filename)}")
     names = sorted(set(_names(code)))
     for name in names:
         if name in world:
-            told.append(name)
-            _value(world[name], names, told, known)
+            parts.append(name)
+            _value(world[name], names, parts, known)
 
 
 def _names(code: CodeType) -> Iterator[str]:
@@ -100,29 +100,29 @@ def _names(code: CodeType) -> Iterator[str]:
             yield from _names(each)
 
 
-def _value(value: Any, names: list[str], told: list[str], known: dict[int, int]) -> None:
+def _value(value: Any, names: list[str], parts: list[str], known: dict[int, int]) -> None:
     part = None if is_record(value) else getattr(value, "part", None)
     if part is not None:
-        _function(part, told, known)
+        _function(part, parts, known)
     elif isinstance(value, ModuleType):
-        told.append(f"module {value.__name__}")
+        parts.append(f"module {value.__name__}")
         has = vars(value)  # NumPy takes long to say that it has not
         for name in names:
             inner = has.get(name)
             if inner is not None and not isinstance(inner, ModuleType):
-                told.append(name)
-                _value(inner, [], told, known)
+                parts.append(name)
+                _value(inner, [], parts, known)
     elif is_record(value):
-        told.append(f"record {value.__module__} {_written(field_types(value))}")
+        parts.append(f"record {value.__module__} {_written(field_types(value))}")
     elif isinstance(value, tuple):
-        told.append(f"{type(value).__qualname__} {len(value)}")
+        parts.append(f"{type(value).__qualname__} {len(value)}")
         for each in value:
-            _value(each, names, told, known)
+            _value(each, names, parts, known)
     elif value is None or isinstance(value, bool | int | float | str | np.generic | Scalar | ArrayType):
-        told.append(f"{type(value).__name__} {value!r}")
+        parts.append(f"{type(value).__name__} {value!r}")
     elif isinstance(value, GenericAlias):
-        told.append(_written(resolved(value, {})))
+        parts.append(_written(resolved(value, {})))
     elif callable(value) and isinstance(getattr(value, "__qualname__", None), str):
-        told.append(f"{value.__module__} {value.__qualname__}")
+        parts.append(f"{value.__module__} {value.__qualname__}")
     else:
         raise _Unknown

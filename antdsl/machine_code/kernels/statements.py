@@ -74,36 +74,36 @@ class Writer(Expressions):
     def assign(self, node: ast.AST, name: str, item: Item) -> None:
         """Assign a value to a name; the first assignment decides its type."""
         if name not in self.variables:
-            self.variables[name] = self._room(item)
+            self.variables[name] = self._allocate(item)
         self._put(node, name, self.variables[name], item)
 
-    def _room(self, item: Item) -> Any:
+    def _allocate(self, item: Item) -> Any:
         if isinstance(item, tuple):
-            return rebuilt(item, (self._room(each) for each in item))
+            return rebuilt(item, (self._allocate(each) for each in item))
         return item if isinstance(item, Array) else self.variable(item)
 
     def variable(self, item: Number) -> Variable:
         """Room for a number."""
         return Variable(item.kind, self.slot(item.kind, item.lanes), item.lanes)
 
-    def _put(self, node: ast.AST, name: str, room: Any, item: Item) -> None:
-        if isinstance(room, tuple) and type(room) is type(item) and len(room) == len(item):
-            for one, other in zip(room, item, strict=True):
+    def _put(self, node: ast.AST, name: str, destination: Any, item: Item) -> None:
+        if isinstance(destination, tuple) and type(destination) is type(item) and len(destination) == len(item):
+            for one, other in zip(destination, item, strict=True):
                 self._put(node, name, one, other)
-        elif isinstance(room, Variable) and isinstance(item, Number):
-            if item.kind != room.kind and not (
-                item.known is not None or item.kind == TRUTH or (item.kind, room.kind) == (INT, DOUBLE)
+        elif isinstance(destination, Variable) and isinstance(item, Number):
+            if item.kind != destination.kind and not (
+                item.known is not None or item.kind == TRUTH or (item.kind, destination.kind) == (INT, DOUBLE)
             ):
-                self.fail(node, f"`{name}` is {room.kind}, and is given {item.kind}")
-            if room.kind in (INT, UNSIGNED, TRUTH) and item.kind in (DOUBLE, FLOAT):
+                self.fail(node, f"`{name}` is {destination.kind}, and is given {item.kind}")
+            if destination.kind in (INT, UNSIGNED, TRUTH) and item.kind in (DOUBLE, FLOAT):
                 self.fail(node, f"`{name}` is a whole number, and is given a float")
-            self.change(node, room, self.as_kind(item, room.kind))
-        elif not (isinstance(room, Array) and item == room):
+            self.change(node, destination, self.as_kind(item, destination.kind))
+        elif not (isinstance(destination, Array) and item == destination):
             self.fail(node, f"`{name}` is given a value of another type")
 
-    def change(self, node: ast.AST, room: Variable, value: Number) -> None:
+    def change(self, node: ast.AST, variable: Variable, value: Number) -> None:
         """Give a variable another value."""
-        self.put(room.place, value)
+        self.put(variable.place, value)
 
     def _to(self, node: ast.AST, target: ast.expr, item: Item) -> None:
         match target:
@@ -137,9 +137,9 @@ class Writer(Expressions):
         if self.mask is not None:
             self.fail(node, "an array is filled by one turn")
         count = self.count(array)
-        whole = Array(array.of, array.address, (count,), None, array.origin)
+        flat_array = Array(array.of, array.address, (count,), None, array.origin)
         with_number = ast.Name(id="~k")
-        self._counted("~k", constant(0), count, 1, lambda: self._store(node, whole, self.number(with_number), item))
+        self._counted("~k", constant(0), count, 1, lambda: self._store(node, flat_array, self.number(with_number), item))
 
     # --- statements ----------------------------------------------------------------------------------------------------
 
@@ -170,9 +170,9 @@ class Writer(Expressions):
                 array = self.value(of)
                 if not isinstance(array, Array):
                     self.fail(node, "only an array's elements change")
-                before = self._indexed(target_of(node), array, index)
-                after = self.arithmetic(node, operator, before, self.number(value))
-                self._store(node, array, self.at(node, array, index), after)
+                old_value = self._indexed(target_of(node), array, index)
+                new_value = self.arithmetic(node, operator, old_value, self.number(value))
+                self._store(node, array, self.at(node, array, index), new_value)
             case ast.If(test=test, body=then, orelse=other):
                 self.if_(test, then, other)
             case ast.While(test=test, body=body, orelse=[]):
@@ -194,30 +194,30 @@ class Writer(Expressions):
         self.open = False
 
     def _augment(self, node: ast.stmt, name: ast.Name, operator: ast.operator, value: ast.expr) -> None:
-        before = self.number(name)
-        self.assign(node, name.id, self.arithmetic(node, operator, before, self.number(value)))
+        old_value = self.number(name)
+        self.assign(node, name.id, self.arithmetic(node, operator, old_value, self.number(value)))
 
     def if_(self, test: ast.expr, then: list[ast.stmt], other: list[ast.stmt]) -> None:
         condition = self.truth(test)
         if condition.known is not None:
             self.block(then if condition.known else other)
             return
-        yes, no, done = self.label("then"), self.label("else"), self.label("done")
-        self.branch(condition, yes, no if other else done)
+        yes, no, end = self.label("then"), self.label("else"), self.label("done")
+        self.branch(condition, yes, no if other else end)
         self.begin(yes)
         self.block(then)
         reached = self.open
         if self.open:
-            self.jump(done)
+            self.jump(end)
         self.open = True
         if other:
             self.begin(no)
             self.block(other)
             if self.open:
-                self.jump(done)
+                self.jump(end)
             self.open = self.open or reached
         if self.open:
-            self.begin(done)
+            self.begin(end)
 
     def while_(self, test: ast.expr, body: list[ast.stmt]) -> None:
         head, inner, end = self.label("while"), self.label("body"), self.label("end")
@@ -312,20 +312,20 @@ class Writer(Expressions):
         begin, end = self.convert(begin, INT), self.convert(end, INT)
         number = self.slot(INT)
         self.put(number, begin)
-        head, inner, following, done = (self.label(stem) for stem in ("for", "body", "next", "end"))
+        head, inner, following, exit_label = (self.label(stem) for stem in ("for", "body", "next", "end"))
         self.jump(head)
         self.begin(head)
         at = self.load(number, INT)
-        self.branch(self.op("slt" if step > 0 else "sgt", TRUTH, at, end), inner, done)
+        self.branch(self.op("slt" if step > 0 else "sgt", TRUTH, at, end), inner, exit_label)
         self.begin(inner)
         if isinstance(self.variables.get(name), Number):  # left behind by a loop that was written out
             del self.variables[name]
         self.assign(self.definition, name, at)
-        self._body(Loop(following, done), write)
+        self._body(Loop(following, exit_label), write)
         self.begin(following)
         self.put(number, self.op("add", INT, at, constant(step)))
         self.jump(head)
-        self.begin(done)
+        self.begin(exit_label)
 
     def give_back(self, node: ast.AST, item: Item) -> None:
         if self.returns and types_of(item) != types_of(self.result):
@@ -341,10 +341,10 @@ class Writer(Expressions):
         if len(numbers) < 2:
             self.do("return", *numbers)
             return
-        whole = Number(result_type(item), "poison")
+        aggregate = Number(result_type(item), "poison")
         for k, each in enumerate(numbers):
-            whole = self.op("insertvalue", whole.kind, whole, each, x=k)
-        self.do("return", whole)
+            aggregate = self.op("insertvalue", aggregate.kind, aggregate, each, x=k)
+        self.do("return", aggregate)
 
     def alike_to(self, node: ast.AST, item: Item, other: Item) -> Item:
         """Convert an item to the type of another result of the function."""

@@ -17,8 +17,8 @@ from antdsl.machine_code.kernels.operations import DTYPES, OPS, wrapped
 from antdsl.machine_code.kernels.values import Number
 from antdsl.machine_code.kinds import WIDTH
 
-_ROOM = re.compile(r"(?:\[(\d+) x )?(?:<(\d+) x )?(\w+)>?(?:\], align \d+)?")
-_WHOLE = re.compile(r"-?\d+")
+_STACK_TYPE = re.compile(r"(?:\[(\d+) x )?(?:<(\d+) x )?(\w+)>?(?:\], align \d+)?")
+_INTEGER = re.compile(r"-?\d+")
 _Step = Callable[[list[Any]], Any]
 
 
@@ -111,7 +111,9 @@ class Prepared:
         self.labels = {each.label: k for k, each in enumerate(function.blocks)}
 
     def code(self) -> Code:
-        slots = [(self.place(each.result), _room(each.extra)) for each in self.function.slots if each.result is not None]
+        slots = [
+            (self.place(each.result), _make_allocator(each.extra)) for each in self.function.slots if each.result is not None
+        ]
         blocks = [[self.step(each) for each in block.body[:-1]] for block in self.function.blocks]
         ends = [self.end(block.body[-1]) for block in self.function.blocks]
         return Code(self.registers, slots, blocks, ends)
@@ -128,39 +130,39 @@ class Prepared:
         return KernelFault(f"{self.function.file}, line {each.line}: {why}")
 
     def end(self, each: Instruction) -> _Step:
-        places = [self.place(operand) for operand in each.operands]
+        operands = [self.place(operand) for operand in each.operands]
         if each.op == "return":
-            return lambda registers: (registers[places[0]] if places else None,)
+            return lambda registers: (registers[operands[0]] if operands else None,)
         targets = [self.labels[label] for label in each.extra]
         if each.op == "jump":
             return lambda registers: targets[0]
-        return lambda registers: targets[0] if registers[places[0]] else targets[1]
+        return lambda registers: targets[0] if registers[operands[0]] else targets[1]
 
     def step(self, each: Instruction) -> _Step:
-        places = [self.place(operand) for operand in each.operands]
+        slots = [self.place(operand) for operand in each.operands]
         to = -1 if each.result is None else self.place(each.result)
         method = getattr(self, f"_{each.op.partition('.')[0]}", None)
         if method is not None:
-            output: _Step = method(each, to, *places)
+            output: _Step = method(each, to, *slots)
             return output
         function, dtype = OPS[each.op].meaning, DTYPES.get("" if each.result is None else each.result.base)
         assert function is not None
         if each.result is not None and each.result.wide:
-            return self.each_lane(each, to, places, function)
-        one, two, three = (*places, -1, -1)[:3]
+            return self.each_lane(each, to, slots, function)
+        one, two, three = (*slots, -1, -1)[:3]
         if _is_cast(each.op):
 
             def cast(registers: list[Any]) -> None:
                 registers[to] = function(registers[one], dtype)
 
             return cast
-        if len(places) == 1:
+        if len(slots) == 1:
 
             def unary(registers: list[Any]) -> None:
                 registers[to] = function(registers[one])
 
             return unary
-        if len(places) == 2:
+        if len(slots) == 2:
 
             def binary(registers: list[Any]) -> None:
                 registers[to] = function(registers[one], registers[two])
@@ -172,15 +174,15 @@ class Prepared:
 
         return ternary
 
-    def each_lane(self, each: Instruction, to: int, places: list[int], function: Callable[..., Any]) -> _Step:
+    def each_lane(self, each: Instruction, to: int, slots: list[int], function: Callable[..., Any]) -> _Step:
         """An operation on each lane of its operands."""
         assert each.result is not None
         lanes, wide = each.result.lanes, [operand.wide for operand in each.operands]
         dtype = [DTYPES[each.result.base]] if _is_cast(each.op) else []
 
         def step(registers: list[Any]) -> None:
-            given = [registers[k] if many else (registers[k],) * lanes for k, many in zip(places, wide, strict=True)]
-            registers[to] = tuple([function(*lane, *dtype) for lane in zip(*given, strict=True)])
+            arguments = [registers[k] if many else (registers[k],) * lanes for k, many in zip(slots, wide, strict=True)]
+            registers[to] = tuple([function(*lane, *dtype) for lane in zip(*arguments, strict=True)])
 
         return step
 
@@ -200,7 +202,7 @@ class Prepared:
 
     def _shufflevector(self, each: Instruction, to: int, a: int, b: int) -> _Step:
         assert each.result is not None
-        order = [int(number) for number in _WHOLE.findall(each.extra.replace("i32", ""))[1:]] or [0] * each.result.lanes
+        order = [int(number) for number in _INTEGER.findall(each.extra.replace("i32", ""))[1:]] or [0] * each.result.lanes
 
         def step(registers: list[Any]) -> None:
             both = registers[a] + registers[b]
@@ -308,14 +310,14 @@ class Prepared:
 
     # --- functions -----------------------------------------------------------------------------------------------------
 
-    def _call(self, each: Instruction, to: int, *given: int) -> _Step:
+    def _call(self, each: Instruction, to: int, *arguments: int) -> _Step:
         code = self.codes[each.extra]
 
         def step(registers: list[Any]) -> None:
-            registers[to] = run_code(code, [registers[place] for place in given])
+            registers[to] = run_code(code, [registers[place] for place in arguments])
 
         if to < 0:
-            return lambda registers: run_code(code, [registers[place] for place in given])
+            return lambda registers: run_code(code, [registers[place] for place in arguments])
         return step
 
     def _extractvalue(self, each: Instruction, to: int, of: int) -> _Step:
@@ -347,9 +349,9 @@ class Prepared:
         return step
 
 
-def _room(extra: str) -> Callable[[], Any]:
+def _make_allocator(extra: str) -> Callable[[], Any]:
     """What makes a place on the stack."""
-    output = _ROOM.fullmatch(extra)
+    output = _STACK_TYPE.fullmatch(extra)
     if output is None or output[3] == "i1" or not (output[1] or output[2]):
         return _Slot
     bytes_ = int(output[1] or 1) * int(output[2] or 1) * _size(output[3])

@@ -33,12 +33,12 @@ class Loop:
 
 @dataclass(slots=True, eq=False)
 class Unit:
-    """All functions of a text. `made`: their names and results, by key. `written`: the numbers of the arguments with arrays that
-    some function stores to. `lanes`: the lanes of independent loops, 1 or 8."""
+    """All functions of a text. `specialisations`: their names and results, by key. `written`: the numbers of the arguments with
+    arrays that some function stores to. `lanes`: the lanes of independent loops, 1 or 8."""
 
     lanes: int = WIDTH
     functions: list[Function] = field(default_factory=list)
-    made: dict[tuple[Any, str], tuple[str, Item]] = field(default_factory=dict)
+    specialisations: dict[tuple[Any, str], tuple[str, Item]] = field(default_factory=dict)
     written: set[int] = field(default_factory=set)
 
 

@@ -80,8 +80,8 @@ def constant(value: Any) -> Number:
     if isinstance(value, float):  # float64 of NumPy is one too
         return Number(DOUBLE, literal(value, F64), float(value))
     if isinstance(value, int) or kind in ("int64", "int32", "intp"):
-        whole = int(value)
-        return Number(UNSIGNED if whole >= 1 << 63 else INT, literal(whole, I64), whole)
+        integer = int(value)
+        return Number(UNSIGNED if integer >= 1 << 63 else INT, literal(integer, I64), integer)
     if kind == "float32":
         return Number(FLOAT, literal(value, F32))
     if kind == "bool":  # of NumPy

@@ -29,8 +29,8 @@ class Vectors(Builder[Value]):
     def together(self, values: Iterable[Value], lanes: int = WIDTH, onto: Value | None = None) -> Value:
         """Return single numbers in one lane each, from the first on; the remaining lanes come from `onto`."""
         for lane, value in enumerate(values):
-            before = self.named(value.kind, "poison", lanes) if onto is None else onto
-            onto = self.op("insertelement", value.kind, before, value, x=lane)
+            previous = self.named(value.kind, "poison", lanes) if onto is None else onto
+            onto = self.op("insertelement", value.kind, previous, value, x=lane)
         assert onto is not None
         return onto
 

@@ -36,20 +36,20 @@ class AgentArrays:
     def arrays(self, world: World, attributes: tuple[str, ...]) -> Arrays:
         """The arrays of these names."""
         populations = [world.populations[name] for name in sorted(world.populations)]
-        count, found = sum(map(len, populations)), Arrays()
+        count, output = sum(map(len, populations)), Arrays()
         for attribute in attributes:
             if attribute == "id":
                 ids = [population.sorted_ids()[0] for population in populations]
-                found["id"] = ids[0] if len(ids) == 1 else np.concatenate(ids)
+                output["id"] = ids[0] if len(ids) == 1 else np.concatenate(ids)
                 continue
             kind, shape = _KINDS.get(attribute, (np.float32, ()))
-            found[attribute] = np.empty((count, *shape), kind)
+            output[attribute] = np.empty((count, *shape), kind)
             begin = 0
             for number, population in enumerate(populations):
                 end = begin + len(population)
-                self._write(world, attribute, number, population, found[attribute][begin:end])
+                self._write(world, attribute, number, population, output[attribute][begin:end])
                 begin = end
-        return found
+        return output
 
     def _write(self, world: World, attribute: str, number: int, population: Population, out: NDArray[Any]) -> None:
         """Write an attribute of the species with this number into its rows of an array."""
@@ -76,7 +76,7 @@ def write_placed(population: Population, attribute: str, scale: float, out: NDAr
     """Write `P`, `v` or `orient` of agents by id, [n, 3 or 4]."""
     ranks = population.ranks()
     if attribute == "P":
-        work: Callable[[int, int], Any] = partial(frame_loops.places, population.position, ranks, scale, out)
+        work: Callable[[int, int], Any] = partial(frame_loops.agent_positions, population.position, ranks, scale, out)
     elif attribute == "v":
         work = partial(frame_loops.vectors, _columns(population, "velocity"), ranks, scale, out)
     else:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from antdsl.bodies.agents.definition import BodyError, Definition
 from antdsl.bodies.agents.packed import PARTS, digest, packed, read_packed
-from antdsl.bodies.files.definition_checks import whole
+from antdsl.bodies.files.definition_checks import check_definition
 from antdsl.bodies.files.definition_document import Parts
 from antdsl.diagnostics import Report
 from antdsl.outputs.cache.manifest import BodyEntry, Manifest
@@ -20,7 +20,7 @@ Arrays = Mapping[str, NDArray[Any]]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class KeptBodies:
+class StoredBodies:
     """Definitions for a cache: a manifest entry and arrays for each, and the number of the definition of each species."""
 
     entries: tuple[BodyEntry, ...]
@@ -28,7 +28,7 @@ class KeptBodies:
     arrays: Arrays
 
     @staticmethod
-    def of(definitions: Mapping[str, Definition], names: Mapping[str, str]) -> KeptBodies:
+    def of(definitions: Mapping[str, Definition], names: Mapping[str, str]) -> StoredBodies:
         """Build from definitions by species; `names` are the files they were read from."""
         numbers: dict[int, int] = {}
         entries: list[BodyEntry] = []
@@ -40,7 +40,7 @@ class KeptBodies:
             if number == len(entries):
                 entries.append(BodyEntry(name=names.get(species, body.name)[-500:], digest=digest(body)))
                 arrays |= {f"body.{number}.{part}": array for part, array in packed(body).items()}
-        return KeptBodies(tuple(entries), worn, arrays)
+        return StoredBodies(tuple(entries), worn, arrays)
 
 
 def definition_of(manifest: Manifest, static: Arrays, number: int) -> Definition:
@@ -48,16 +48,16 @@ def definition_of(manifest: Manifest, static: Arrays, number: int) -> Definition
     arrays = {part: static[name] for part in PARTS if (name := f"body.{number}.{part}") in static}
     if number >= len(manifest.bodies) or len(arrays) != len(PARTS):
         raise BodyError("is not there")
-    found = unpacked(arrays)
-    if digest(found) != manifest.bodies[number].digest:
+    definition = unpacked(arrays)
+    if digest(definition) != manifest.bodies[number].digest:
         raise BodyError("is not the one that was written")
-    return found
+    return definition
 
 
 def unpacked(arrays: Mapping[str, NDArray[Any]]) -> Definition:
     """Return the definition from arrays that `packed` made. Raises BodyError for any other arrays: nothing in them is trusted."""
-    found, report = read_packed(arrays), Report()
+    definition, report = read_packed(arrays), Report()
     with np.errstate(all="ignore"):
-        if whole(Parts(found, measured=False), report) is None:
+        if check_definition(Parts(definition, measured=False), report) is None:
             raise BodyError(f"is damaged: of a body, {report.errors[0].message}")
-    return found
+    return definition

@@ -47,14 +47,14 @@ def numbered(folder: Path, path: Callable[[Path, int], Path]) -> tuple[list[int]
     """Return the numbers of the frames or checkpoints in a cache's folder, in order; `path` writes their names. Also return files
     among them with invalid names, such as `frame.12.npz`."""
     place = path(folder, 0).parent
-    found, strays = [], []
+    numbers, strays = [], []
     for each in place.iterdir() if place.is_dir() else ():
         match = _NUMBERED.fullmatch(each.name)
         if match and path(folder, int(match[1])).name == each.name:
-            found.append(int(match[1]))
+            numbers.append(int(match[1]))
         elif each.name.endswith(".npz") and not each.name.startswith("."):
             strays.append(each)
-    return sorted(found), sorted(strays)
+    return sorted(numbers), sorted(strays)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -125,8 +125,8 @@ class Cache:
 
     def static_damage(self) -> str | None:
         """The same for `static.npz`."""
-        kept = self.manifest.static
-        return (static_damage(self.folder / STATIC, kept) if kept else None) or _unread(self.static)
+        expected = self.manifest.static
+        return (static_damage(self.folder / STATIC, expected) if expected else None) or _unread(self.static)
 
 
 def open_cache(folder: Path) -> Cache:

@@ -37,7 +37,7 @@ from antdsl.outputs.cache.npz import npz_file
 from antdsl.outputs.surface_error import surface_error
 from antdsl.runtime import World, checkpoint, feet_hash, state_hash
 from antdsl.runtime.checkpoints import STATE_HASH
-from antdsl.whole import PART, is_link, make_folder, write_whole
+from antdsl.whole import PART, is_link, make_folder, write_atomically
 
 Arrays = Mapping[str, NDArray[Any]]
 
@@ -54,9 +54,9 @@ class DifferentInputs(Exception):
     """Error for a cache made from other inputs: `names` are the differing inputs, `choices` describe the options that differ."""
 
     def __init__(self, manifest: Manifest, names: list[str], choices: Sequence[str] = ()) -> None:
-        found = [f"the cache was made {' and '.join(choices)}"] if choices else []
-        found += [f"the cache belongs to different inputs: {', '.join(f'`{name}`' for name in names)}"] if names else []
-        super().__init__("; ".join(found))
+        problems = [f"the cache was made {' and '.join(choices)}"] if choices else []
+        problems += [f"the cache belongs to different inputs: {', '.join(f'`{name}`' for name in names)}"] if names else []
+        super().__init__("; ".join(problems))
         self.manifest, self.names = manifest, names
 
 
@@ -84,7 +84,7 @@ def prepare_folder(folder: Path, *, force: bool) -> None:
         others = sorted(name.name for name in folder.iterdir() if name.name != LOCK and not name.match(f".{MARKER}.*{PART}"))
         if others and not force:
             raise ForeignFolder(f"`{folder}` has files that are not a cache's, such as `{others[0]}`")
-        write_whole(marker, b"This folder is written by antdsl; what is in it may be replaced by the next run.\n")
+        write_atomically(marker, b"This folder is written by antdsl; what is in it may be replaced by the next run.\n")
     for name in ("frames", "checkpoints"):
         make_folder(folder / name)
 
@@ -107,8 +107,8 @@ def clear(folder: Path, above: int | None = None, damaged: Container[int] = ()) 
 
     With `above`, only those after that frame, and the `damaged` checkpoints. Hashes are removed first: if this is interrupted, a
     file without a hash is ignored."""
-    kept = {} if above is None else {f: line for f, line in read_lines(folder / HASHES).items() if f <= above}
-    write_whole(folder / HASHES, b"".join(line.text(frame) for frame, line in kept.items()))
+    remaining_lines = {} if above is None else {f: line for f, line in read_lines(folder / HASHES).items() if f <= above}
+    write_atomically(folder / HASHES, b"".join(line.text(frame) for frame, line in remaining_lines.items()))
     for number in numbered(folder, frame_path)[0]:
         if above is None or number > above:
             frame_path(folder, number).unlink(missing_ok=True)
@@ -127,17 +127,17 @@ class OtherHashes(Exception):
 
 
 @dataclass(frozen=True, slots=True)
-class Whole:
-    """The part of a cache that a run can continue. `points`: checkpoints to continue from, the latest first. `there`: the last
-    frame in the cache. `broken`: why the first incomplete frame is incomplete, None if nothing is wrong."""
+class IntactPart:
+    """The part of a cache that a run can continue. `points`: checkpoints to continue from, the latest first. `last_frame`: the
+    last frame in the cache. `broken`: why the first incomplete frame is incomplete, None if nothing is wrong."""
 
     cache: Cache
     points: list[int]
-    there: int | None = None
+    last_frame: int | None = None
     broken: str | None = None
 
 
-def whole_part(folder: Path, inputs: Mapping[str, str], first: int, last: int) -> Whole | None:
+def whole_part(folder: Path, inputs: Mapping[str, str], first: int, last: int) -> IntactPart | None:
     """Return the part of the cache that can be continued, or None if there is nothing to continue.
 
     A checkpoint counts only if the file of every frame up to it has the bytes that were written. Raises DifferentInputs if the
@@ -152,23 +152,28 @@ def whole_part(folder: Path, inputs: Mapping[str, str], first: int, last: int) -
         raise DifferentInputs(cache.manifest, sorted(different))
     if cache.manifest.state_hash != STATE_HASH:
         raise OtherHashes(folder)
-    lines, there = cache.lines(), max(cache.frames(), default=None)
+    lines, last_frame = cache.lines(), max(cache.frames(), default=None)
     unbroken, broken = first - 1, None
     while unbroken < last and (broken := cache.damage(unbroken + 1, lines.get(unbroken + 1))) is None:
         unbroken += 1
-    if there is None or there <= unbroken or (there == unbroken + 1 and there not in lines):
+    if last_frame is None or last_frame <= unbroken or (last_frame == unbroken + 1 and last_frame not in lines):
         broken = None  # it ends here, or the run was killed between a frame and its line
     points = [number for number in reversed(cache.checkpoints()) if first <= number <= unbroken]
-    return Whole(cache, points, there, broken)
+    return IntactPart(cache, points, last_frame, broken)
 
 
 def read_checkpoint(cache: Cache, frame: int) -> tuple[Arrays, float | None]:
     """Return a checkpoint's arrays without the bookkeeping, and the greatest surface error of all frames up to it. The error is
     None if it was not stored. Raises CacheError if the checkpoint is damaged."""
     arrays = cache.checkpoint(frame)
-    kept = arrays.get(SURFACE_ERROR)
-    known = kept is not None and kept.shape == () and kept.dtype.kind == "f" and 0 <= float(kept) < math.inf
-    worst = float(kept) if kept is not None and known else None
+    stored_error = arrays.get(SURFACE_ERROR)
+    known = (
+        stored_error is not None
+        and stored_error.shape == ()
+        and stored_error.dtype.kind == "f"
+        and 0 <= float(stored_error) < math.inf
+    )
+    worst = float(stored_error) if stored_error is not None and known else None
     return {name.removeprefix("world."): array for name, array in arrays.items() if name.startswith("world.")}, worst
 
 
@@ -183,10 +188,10 @@ class CacheWriter:
     name."""
 
     def __init__(
-        self, folder: Path, manifest: Manifest, made_with: Callable[[], Provenance], told: Callable[[Mapping[str, Any]], None]
+        self, folder: Path, manifest: Manifest, made_with: Callable[[], Provenance], report: Callable[[Mapping[str, Any]], None]
     ) -> None:
         self.folder, self.manifest, self._made_with = folder, manifest, made_with
-        self._told = told
+        self._told = report
         self._lock = FolderLock(folder)
         self._behind: Behind | None = None
 
@@ -197,21 +202,21 @@ class CacheWriter:
     def __exit__(self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None) -> None:
         try:
             if self._behind is not None:
-                self._end(self._behind, whole=kind is None)
+                self._end(self._behind, is_complete=kind is None)
         except Exception:
             self._lock.__exit__(kind, value, trace)
             raise
         # If a second Ctrl-C interrupted the wait, the folder stays locked: a thread still writes to it.
         self._lock.__exit__(kind, value, trace)
 
-    def _end(self, behind: Behind, *, whole: bool) -> None:
+    def _end(self, behind: Behind, *, is_complete: bool) -> None:
         try:
-            if whole:
+            if is_complete:
                 behind.hand_over(self._scribe.sync)
         finally:
             behind.finish()
             self._scribe.close()
-        if whole:
+        if is_complete:
             behind.check()
 
     def begin(
@@ -219,20 +224,20 @@ class CacheWriter:
         world: World,
         static: Arrays,
         maker: FrameMaker,
-        kept: Mapping[int, Line],
+        kept_lines: Mapping[int, Line],
         damaged: Container[int] = (),
         worst: float | None = 0.0,
     ) -> None:
         """Write the files that apply to the whole run. First remove frames of an earlier run and its `damaged` checkpoints.
-        Frames and checkpoints up to the last line of `kept` stay. `worst`: the greatest surface error of these, None if unknown.
-        Raises Locked if another run has written since those lines were read."""
-        last = max(kept, default=None)
+        Frames and checkpoints up to the last line of `kept_lines` stay. `worst`: the greatest surface error of these, None if
+        unknown. Raises Locked if another run has written since those lines were read."""
+        last = max(kept_lines, default=None)
         lines = {} if last is None else read_lines(self.folder / HASHES)
-        if kept != {frame: line for frame, line in lines.items() if last is not None and frame <= last}:
+        if kept_lines != {frame: line for frame, line in lines.items() if last is not None and frame <= last}:
             raise Locked(f"another run has written to `{self.folder}` since this one read it")
         clear(self.folder, last, damaged)
         file = npz_file(static)
-        write_whole(self.folder / STATIC, file.parts)
+        write_atomically(self.folder / STATIC, file.parts)
         world.carved = {}
         world.emitted = [] if "emit" in maker.events else None
         self._maker, self._worst = maker, worst
@@ -255,18 +260,18 @@ class CacheWriter:
         line = line_of(world.frame, state, file, feet)
         times.append(time.perf_counter())
         spent = dict(zip(("measure", "hash", "frame"), (end - start for start, end in pairwise(times)), strict=True))
-        found = {"hash": state, "surface_error": self._worst}
+        measures = {"hash": state, "surface_error": self._worst}
         scribe, frame = self._scribe, world.frame
 
         def write() -> Mapping[str, Any]:
-            return {**found, "made": spent, **scribe.frame(frame, file, line)}
+            return {**measures, "made": spent, **scribe.frame(frame, file, line)}
 
         self._behind.hand_over(write)
 
     def put_checkpoint(self, world: World) -> None:
         """Pass everything needed to continue from the last frame to the writer."""
         assert self._behind is not None, "begin comes first"
-        kept = checkpoint(world)
-        arrays = {"frame": kept["frame"], **{f"world.{name}": array for name, array in kept.items()}}
+        state_arrays = checkpoint(world)
+        arrays = {"frame": state_arrays["frame"], **{f"world.{name}": array for name, array in state_arrays.items()}}
         arrays |= {} if self._worst is None else {SURFACE_ERROR: np.array(self._worst)}
         self._behind.hand_over(partial(self._scribe.checkpoint, world.frame, arrays))

@@ -17,7 +17,7 @@ from antdsl.outputs.pictures.model import Solid
 
 
 @dataclass(slots=True)
-class _Kept:
+class _DugSolid:
     """One solid: its volume at the last requested frame, the surface by brick, and the mesh to draw."""
 
     volume: Volume
@@ -28,8 +28,8 @@ class _Kept:
         if cut is not None:
             opened = cut.opened(self.volume, offset, scale)
             vertices, faces = joined([(v, f) for _, v, f in opened.surface(changed_only=False)])
-            places = (vertices + offset) * scale
-            return Solid(name, places, faces, "hill", cut.painted(places, 0.3 * self.volume.bricks.voxel * scale))
+            positions = (vertices + offset) * scale
+            return Solid(name, positions, faces, "hill", cut.painted(positions, 0.3 * self.volume.bricks.voxel * scale))
         changed = {brick: (vertices, faces) for brick, vertices, faces in self.volume.surface()}
         if changed or self.drawn is None:
             self.pieces |= changed
@@ -43,7 +43,7 @@ class DugSolids:
 
     def __init__(self, cache: Cache, static: Mapping[str, NDArray[Any]], cut: Cut | None = None) -> None:
         self.cache, self._static, self._cut = cache, static, cut
-        self._kept = {m.name: _Kept(started(m.name, static)) for m in cache.manifest.meshes if m.kind == "solid"}
+        self._kept = {m.name: _DugSolid(started(m.name, static)) for m in cache.manifest.meshes if m.kind == "solid"}
         self._at: int | None = None
         self._scale = 1.0 / {"mm": 1.0, "cm": 10.0, "m": 1000.0}[cache.manifest.units]
 
@@ -57,36 +57,36 @@ class DugSolids:
             self._dig(number)
         self._at = frame
         return tuple(
-            kept.surface(name, np.asarray(self._static[f"solid.{name}.offset"]), self._scale, self._cut)
-            for name, kept in self._kept.items()
+            solid.surface(name, np.asarray(self._static[f"solid.{name}.offset"]), self._scale, self._cut)
+            for name, solid in self._kept.items()
         )
 
     def volumes(self) -> Iterator[tuple[str, Volume, NDArray[np.float64]]]:
         """Yield name, volume and offset (mm) of each solid at the last requested frame."""
-        for name, kept in self._kept.items():
-            yield name, kept.volume, np.asarray(self._static[f"solid.{name}.offset"])
+        for name, solid in self._kept.items():
+            yield name, solid.volume, np.asarray(self._static[f"solid.{name}.offset"])
 
     def _dig(self, frame: int) -> None:
         try:
             arrays = self.cache.frame(frame)
         except CacheError:  # a frame that is missing keeps no other from being drawn
             return
-        for name, kept in self._kept.items():
+        for name, solid in self._kept.items():
             balls = arrays.get(f"solid.{name}.balls")
             if balls is not None:
-                kept.volume.carve(balls[:, :3], balls[:, 3], np.zeros(len(balls), np.int64))
+                solid.volume.carve(balls[:, :3], balls[:, 3], np.zeros(len(balls), np.int64))
 
     def _begin(self, frame: int) -> int:
         """Restore the volumes to the last complete checkpoint, or to the start. Return the last frame to dig."""
         for number in sorted((n for n in self.cache.checkpoints() if n <= frame), reverse=True):
             try:
                 arrays = self.cache.checkpoint(number)
-                for name, kept in self._kept.items():
+                for name, solid in self._kept.items():
                     prefix = f"world.solid.{name}."
-                    kept.volume.restore({k.removeprefix(prefix): a for k, a in arrays.items() if k.startswith(prefix)})
+                    solid.volume.restore({k.removeprefix(prefix): a for k, a in arrays.items() if k.startswith(prefix)})
                 return number
             except (CacheError, ValueError, KeyError):
                 continue
         for name in self._kept:
-            self._kept[name] = _Kept(started(name, self._static))
+            self._kept[name] = _DugSolid(started(name, self._static))
         return self.cache.manifest.first - 1

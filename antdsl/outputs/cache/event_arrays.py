@@ -35,9 +35,9 @@ def events_of(world: World, kinds: tuple[str, ...], scale: float) -> Arrays:
 
 
 def _emits(world: World, scale: float) -> Arrays:
-    found = emitted_since(world)
-    place = scene_places(found.place, scale)
-    return {"species": found.species, "id": found.id, "P": place, "N": found.normal, "event": found.event}
+    emits = emitted_since(world)
+    place = scene_places(emits.place, scale)
+    return {"species": emits.species, "id": emits.id, "P": place, "N": emits.normal, "event": emits.event}
 
 
 def _contacts(world: World, scale: float) -> Arrays:
@@ -45,33 +45,34 @@ def _contacts(world: World, scale: float) -> Arrays:
         return {name: np.zeros((0, *wide), kind) for name, (kind, wide) in _CONTACT.items()}
     crowd = Crowd(world)
     near = find(crowd)
-    kept = np.flatnonzero(near.gap < 0)
-    i, j, places = near.rows[near.i[kept]], near.rows[near.j[kept]], _meeting(near, kept)
-    way, gap = near.way[:, kept], near.gap[kept]
+    pairs = np.flatnonzero(near.gap < 0)
+    i, j, points = near.rows[near.i[pairs]], near.rows[near.j[pairs]], _meeting(near, pairs)
+    direction, gap = near.direction[:, pairs], near.gap[pairs]
     ids = crowd.of(lambda p: p.ids)
     names = sorted(world.populations)
     species = np.repeat([names.index(p.name) for p in crowd.species], np.diff(crowd.first)).astype(np.int16)
     order = np.lexsort((ids[j], species[j], ids[i], species[i]))
-    i, j, places, way, gap = i[order], j[order], places[:, order], way[:, order], gap[order]
+    i, j, points, direction, gap = i[order], j[order], points[:, order], direction[:, order], gap[order]
     return {
-        "species": species[i], "id": ids[i], "P": scene_places(places.T, scale),
-        "N": way.T.astype(np.float32), "other_species": species[j], "other": ids[j], "depth": (-gap * scale).astype(np.float32),
+        "species": species[i], "id": ids[i], "P": scene_places(points.T, scale),
+        "N": direction.T.astype(np.float32), "other_species": species[j], "other": ids[j],
+        "depth": (-gap * scale).astype(np.float32),
     }  # fmt: skip
 
 
-def _meeting(near: Near, kept: NDArray[np.intp]) -> NDArray[np.float64]:
+def _meeting(near: Near, pairs: NDArray[np.intp]) -> NDArray[np.float64]:
     """Return the contact points of two capsules (3, k) mm: midway between their surfaces, on the shortest line between their
     axes."""
-    i, j, way, gap = near.i[kept], near.j[kept], near.way[:, kept], near.gap[kept]
+    i, j, direction, gap = near.i[pairs], near.j[pairs], near.direction[:, pairs], near.gap[pairs]
     a, b, ri, rj = near.ahead[:, i], near.ahead[:, j], near.radius[i], near.radius[j]
-    off = way * (gap + ri + rj) - (near.middle[:, i] - near.middle[:, j])  # t a - s b
+    off = direction * (gap + ri + rj) - (near.middle[:, i] - near.middle[:, j])  # t a - s b
     across = dot(a, b)
     free = 1.0 - across * across
     t = np.where(free > 1e-6, (dot(off, a) - across * dot(off, b)) / np.maximum(free, 1e-6), dot(off, a) / 2)
     s = across * t - dot(off, b)
     t, s = np.clip(t, -near.half[i], near.half[i]), np.clip(s, -near.half[j], near.half[j])
-    first = near.middle[:, i] + a * t - way * (ri + gap / 2)
-    second = near.middle[:, j] + b * s + way * (rj + gap / 2)
+    first = near.middle[:, i] + a * t - direction * (ri + gap / 2)
+    second = near.middle[:, j] + b * s + direction * (rj + gap / 2)
     middle: NDArray[np.float64] = (first + second) / 2
     return middle
 

@@ -34,7 +34,7 @@ Shares = tuple[Array1[F32], Array1[F32], Array1[F32], Array1[F32], Array1[F32]]
 
 
 @kernel
-def places(position: Strided2[F64], ranks: Array1[I32], scale: F64, out: Array2[F32], begin: I64, end: I64) -> None:
+def agent_positions(position: Strided2[F64], ranks: Array1[I32], scale: F64, out: Array2[F32], begin: I64, end: I64) -> None:
     """Write positions of agents in scene units, each at its rank. Zeros have no sign."""
     for i in range(begin, end):
         k = ranks[i]
@@ -84,13 +84,13 @@ def playing(
     clips: Clips, shares: Shares, ranks: Array1[I32], clips_out: ClipsOut, shares_out: Shares, begin: I64, end: I64
 ) -> None:
     """Write the clips that a machine of agents plays, each at its rank: clips, and turns, weights and the fade."""
-    clip, before = clips
+    clip, previous = clips
     clip_out, before_out = clips_out
     turns, weight, before_turns, before_weight, fade = shares
     turns_out, weight_out, before_turns_out, before_weight_out, fade_out = shares_out
     for i in range(begin, end):
         k = ranks[i]
-        clip_out[k], before_out[k] = clip[i], before[i]
+        clip_out[k], before_out[k] = clip[i], previous[i]
         turns_out[k], weight_out[k], fade_out[k] = turns[i], weight[i], fade[i]
         before_turns_out[k], before_weight_out[k] = before_turns[i], before_weight[i]
 
@@ -161,12 +161,12 @@ _BLOCK = 256  # agents: their rows stay in the cache of a core from leg to leg
 
 @kernel
 def feet(
-    shown: Array3[F64],
+    foot_positions: Array3[F64],
     swing: Array2[F32],
     rise: Array1[F32],
     slope: Array2[F32],
     scale: F64,
-    places: Array2[F32],
+    positions_out: Array2[F32],
     down: Array2[U8],
     rise_out: Array1[F32],
     tilt: Array2[F32],
@@ -181,9 +181,9 @@ def feet(
         high = min(low + _BLOCK, end)
         for leg in range(swing.shape[0]):
             for i in range(low, high):
-                places[i, 3 * leg] = np.float32((shown[0, leg, i] + 0.0) * scale)
-                places[i, 3 * leg + 1] = np.float32((shown[1, leg, i] + 0.0) * scale)
-                places[i, 3 * leg + 2] = np.float32((shown[2, leg, i] + 0.0) * scale)
+                positions_out[i, 3 * leg] = np.float32((foot_positions[0, leg, i] + 0.0) * scale)
+                positions_out[i, 3 * leg + 1] = np.float32((foot_positions[1, leg, i] + 0.0) * scale)
+                positions_out[i, 3 * leg + 2] = np.float32((foot_positions[2, leg, i] + 0.0) * scale)
                 down[i, leg] = 1 if swing[leg, i] == np.float32(-1.0) else 0
         for i in independent(low, high):
             rise_out[i] = rise[i] * np.float32(scale)

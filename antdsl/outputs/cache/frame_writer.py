@@ -18,14 +18,14 @@ from antdsl.outputs.cache.cache_reader import checkpoint_path, frame_path
 from antdsl.outputs.cache.hashes import HASHES, Line, read_lines, with_checkpoint
 from antdsl.outputs.cache.npz import npz_file
 from antdsl.outputs.cache.zip_parts import Stored
-from antdsl.whole import AppendedFile, sync_files, write_whole
+from antdsl.whole import AppendedFile, sync_files, write_atomically
 
 _MOST = 3  # jobs that are not done: one under way, and those that wait for it
 
 Results = Mapping[str, Any]
 Work = Callable[[], Results]
 Arrays = Mapping[str, NDArray[Any]]
-Found = dict[str, Any]
+Measures = dict[str, Any]
 
 
 class Scribe:
@@ -40,11 +40,11 @@ class Scribe:
         self._unsynced: list[Path] = []
         self._last: dict[int, Line] = {}  # the line of the frame that was written last
 
-    def frame(self, frame: int, file: Stored, line: Line) -> Found:
+    def frame(self, frame: int, file: Stored, line: Line) -> Measures:
         """Write a frame as this file, and its line."""
         began = time.perf_counter()
         path = frame_path(self.folder, frame)
-        write_whole(path, file.parts, sync=False)
+        write_atomically(path, file.parts, sync=False)
         self._unsynced.append(path)
         self._line(frame, line)
         return _spent("write", began)
@@ -53,19 +53,19 @@ class Scribe:
         self._last = {frame: line}
         self._lines.write([line.text(frame)])
 
-    def checkpoint(self, frame: int, arrays: Arrays) -> Found:
+    def checkpoint(self, frame: int, arrays: Arrays) -> Measures:
         """Write a checkpoint, durably, after everything before it, its hash included. A checkpoint without a hash comes from a
         version that had none."""
         began = time.perf_counter()
         file = npz_file(arrays)
         lines = self._last or read_lines(self.folder / HASHES)
         self._line(frame, with_checkpoint(frame, lines[frame], file))
-        found = self.sync()
-        write_whole(checkpoint_path(self.folder, frame), file.parts)
-        found["seconds"] |= {"checkpoint": time.perf_counter() - began - found["seconds"]["sync"]}
-        return found
+        measures = self.sync()
+        write_atomically(checkpoint_path(self.folder, frame), file.parts)
+        measures["seconds"] |= {"checkpoint": time.perf_counter() - began - measures["seconds"]["sync"]}
+        return measures
 
-    def sync(self) -> Found:
+    def sync(self) -> Measures:
         """See that all that was written is on the disk."""
         began = time.perf_counter()
         sync_files(self._unsynced)
@@ -78,7 +78,7 @@ class Scribe:
         self._lines.close()
 
 
-def _spent(what: str, since: float) -> Found:
+def _spent(what: str, since: float) -> Measures:
     return {"seconds": {what: time.perf_counter() - since}}
 
 
@@ -88,8 +88,8 @@ class Behind:
 
     After an error nothing more is done; the next call raises it."""
 
-    def __init__(self, told: Callable[[Results], None]) -> None:
-        self._told = told
+    def __init__(self, report: Callable[[Results], None]) -> None:
+        self._told = report
         self._work: SimpleQueue[Work | None] = SimpleQueue()
         self._found: SimpleQueue[Results | None] = SimpleQueue()  # one for each work, None where it was not done
         self._left = 0  # works of which nothing has been heard
@@ -120,17 +120,17 @@ class Behind:
     def _hear(self, most: int) -> None:
         """Report the results since the last call; block until at most `most` works are pending."""
         while self._left > most or not self._found.empty():
-            found = self._found.get()
+            measures = self._found.get()
             self._left -= 1
-            if found is not None:
-                self._told(found)
+            if measures is not None:
+                self._told(measures)
 
     def _live(self) -> None:
         while (work := self._work.get()) is not None:
-            found = None
+            measures = None
             if self._problem is None:
                 try:
-                    found = work()
+                    measures = work()
                 except BaseException as problem:  # raised in the caller's thread
                     self._problem = problem
-            self._found.put(found)
+            self._found.put(measures)

@@ -31,7 +31,7 @@ from antdsl.outputs.cache.manifest import (
     StateEntry,
 )
 from antdsl.outputs.cache.places import scene_origin, scene_places
-from antdsl.outputs.cache.pose_arrays import clips_playing, layers_worn, placed_feet, playing, shown
+from antdsl.outputs.cache.pose_arrays import clips_playing, display_arrays, layers_worn, placed_feet, playing
 from antdsl.outputs.cache.solid_pieces import PieceMaker, start_pieces
 from antdsl.outputs.flow_arrows import arrows
 from antdsl.plan.registers import pair_values
@@ -63,8 +63,8 @@ class FrameMaker:
         pairs = {name: pair_values(population.plan.registers) for name, population in world.populations.items()}
         self.pairs = {name: {each: slots[each] for each in attributes if each in slots} for name, slots in pairs.items()}
         only = {each for slots in self.pairs.values() for each in slots} - _plain_numbers(program)
-        told = tuple(each for each in attributes if each not in only)
-        self.attributes = told if len(world.populations) == 1 or "species" in told else (*told, "species")
+        names = tuple(each for each in attributes if each not in only)
+        self.attributes = names if len(world.populations) == 1 or "species" in names else (*names, "species")
         self.factors = {
             (species.name, a.name): self.scale ** _length_power(a.type.dim)
             for species in program.species.values()
@@ -80,7 +80,7 @@ class FrameMaker:
         arrays |= self.agents.arrays(world, self.attributes)
         for name in rows:
             arrays |= clips_playing(world.populations[name], threads=world.options.threads)
-            arrays |= shown(world.populations[name], world.setting)
+            arrays |= display_arrays(world.populations[name], world.setting)
             arrays |= self._pairs(world.populations[name], rows[name])
             arrays |= placed_feet(world, name, self.scale)
         for name, field in world.fields.items():
@@ -101,11 +101,11 @@ class FrameMaker:
             who, value = (np.stack([population.now[each[part]][rows] for each in slots], axis=1) for part in (0, 1))
             order = np.argsort(who, axis=1, kind="stable")
             who, value = (np.take_along_axis(each, order, axis=1) for each in (who, value))
-            there = who >= 0
+            is_known = who >= 0
             factor = np.float32(self.factors.get((population.name, name), 1.0))
             of = f"pairs.{population.name}.{name}"
-            arrays[f"{of}.id"] = np.broadcast_to(population.ids[rows, None], who.shape)[there]
-            arrays[f"{of}.other"], arrays[f"{of}.value"] = who[there], value[there] * factor
+            arrays[f"{of}.id"] = np.broadcast_to(population.ids[rows, None], who.shape)[is_known]
+            arrays[f"{of}.other"], arrays[f"{of}.value"] = who[is_known], value[is_known] * factor
         return arrays
 
     def _moved(self, world: World, rows: Mapping[str, NDArray[np.intp]]) -> Arrays:
@@ -114,8 +114,8 @@ class FrameMaker:
         arrays: Arrays = {}
         for name in moves.meshes:
             arrays[f"mesh.{name}.vertices"] = scene_places(vertices_at(world, name, world.frame), self.scale)
-        for name, places in moves.items.items():
-            arrays[f"items.{name}.P"] = ((moves.points(places, world.frame) - world.origin) * self.scale).astype(np.float32)
+        for name, positions in moves.items.items():
+            arrays[f"items.{name}.P"] = ((moves.points(positions, world.frame) - world.origin) * self.scale).astype(np.float32)
         speeds = [ground_velocity(world, world.populations[name]) for name in rows]
         if speeds and all(speed is not None for speed in speeds):
             parts = [speed[rows[name]] for name, speed in zip(rows, speeds, strict=True) if speed is not None]
@@ -249,10 +249,10 @@ def _mesh(
     )
 
 
-def _looks(given: Look | Mapping[str, Look] | None, names: list[str]) -> tuple[Look | None, ...]:
-    if not given:
+def _looks(looks: Look | Mapping[str, Look] | None, names: list[str]) -> tuple[Look | None, ...]:
+    if not looks:
         return ()
-    return tuple(given if isinstance(given, str) else given.get(name) for name in names)
+    return tuple(looks if isinstance(looks, str) else looks.get(name) for name in names)
 
 
 def _species(

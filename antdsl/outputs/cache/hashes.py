@@ -37,32 +37,32 @@ class Line:
     def text(self, frame: int) -> bytes:
         """The line for a frame."""
         words = {"frame": frame, "hash": self.hash, "file": self.file}
-        more = {"checkpoint": self.checkpoint, "feet": self.feet}
-        return json.dumps(words | {name: text for name, text in more.items() if text}).encode() + b"\n"
+        optional = {"checkpoint": self.checkpoint, "feet": self.feet}
+        return json.dumps(words | {name: text for name, text in optional.items() if text}).encode() + b"\n"
 
 
 def line_of(frame: int, state: str, file: Stored, feet: str = "") -> Line:
     """Return the line for a frame with a state hash, the hash of its written file, and a hash of its feet."""
-    return Line(state, _told(_of_frame(frame, state) + _of_feet(feet), file.headers), feet=feet)
+    return Line(state, _hash_headers(_of_frame(frame, state) + _of_feet(feet), file.headers), feet=feet)
 
 
 def with_checkpoint(frame: int, line: Line, file: Stored) -> Line:
     """Return a frame's line with the hash of its checkpoint file added. It follows the frame's earlier line and replaces it."""
-    return replace(line, checkpoint=_told(_of_checkpoint(frame, line.hash) + _of_feet(line.feet), file.headers))
+    return replace(line, checkpoint=_hash_headers(_of_checkpoint(frame, line.hash) + _of_feet(line.feet), file.headers))
 
 
 def hash_of_static(file: Stored) -> str:
     """Return the hash of the written `static.npz`."""
-    return _told(_STATIC, file.headers)
+    return _hash_headers(_STATIC, file.headers)
 
 
 def read_lines(path: Path) -> dict[int, Line]:
     """Return the lines by frame, as far as they are complete. The result is empty where none can be read."""
-    found: dict[int, Line] = {}
+    lines: dict[int, Line] = {}
     try:
         text = read_bounded(path, _BYTES, follow=False).decode("utf-8", "replace")
     except OSError:
-        return found
+        return lines
     for line in text.split("\n")[:-1]:
         try:
             entry = json.loads(line)
@@ -72,8 +72,8 @@ def read_lines(path: Path) -> dict[int, Line]:
             break
         if not isinstance(frame, int) or not all(isinstance(word, str) for word in (state, file, point, feet)):
             break
-        found[frame] = Line(state, file, point, feet)
-    return found
+        lines[frame] = Line(state, file, point, feet)
+    return lines
 
 
 def damage(path: Path, frame: int, line: Line | None) -> str | None:
@@ -92,13 +92,13 @@ def checkpoint_damage(path: Path, frame: int, line: Line | None) -> str | None:
     return _differs(path, _of_checkpoint(frame, line.hash) + _feet_within(line.checkpoint, line.feet), line.checkpoint)
 
 
-def static_damage(path: Path, wanted: str) -> str | None:
+def static_damage(path: Path, expected: str) -> str | None:
     """Return what is wrong with `static.npz`, compared with the hash in the manifest; None where nothing is."""
-    return _differs(path, _STATIC, wanted)
+    return _differs(path, _STATIC, expected)
 
 
-def _differs(path: Path, begin: bytes, wanted: str) -> str | None:
-    """Return how a file differs from its hash, or None. `wanted`: the result of `_told` for `begin` and the file's headers, or
+def _differs(path: Path, begin: bytes, expected: str) -> str | None:
+    """Return how a file differs from its hash, or None. `expected`: the result of `_told` for `begin` and the file's headers, or
     the hash of `begin` and all its bytes; empty if there is none."""
     try:
         handle = open_regular(path, follow=False)
@@ -107,17 +107,17 @@ def _differs(path: Path, begin: bytes, wanted: str) -> str | None:
     except OSError as why:
         return f"`{path}` cannot be read: {(why.strerror or str(why)).lower()}"
     try:
-        if not wanted:
+        if not expected:
             return f"`{path}` has no hash in `{HASHES}`"
         held = blocks(handle, FILE_BYTES)
-        told = _told(begin, read_headers(held)) if wanted.startswith(_BY_HEADERS) else _hashed(begin, held)
+        actual = _hash_headers(begin, read_headers(held)) if expected.startswith(_BY_HEADERS) else _hashed(begin, held)
     except NotStored:
-        told = ""
+        actual = ""
     except OSError as why:
         return f"`{path}` cannot be read: {(why.strerror or str(why)).lower()}"
     finally:
         os.close(handle)
-    return None if told == wanted else f"`{path}` is not what was written there"
+    return None if actual == expected else f"`{path}` is not what was written there"
 
 
 _STATIC = b"static "
@@ -136,12 +136,12 @@ def _of_feet(feet: str) -> bytes:
     return f"{feet} ".encode() if feet else b""
 
 
-def _feet_within(wanted: str, feet: str) -> bytes:
+def _feet_within(expected: str, feet: str) -> bytes:
     """Return the part of a hash that covers the feet; nothing for a hash of all bytes of a file."""
-    return _of_feet(feet) if wanted.startswith(_BY_HEADERS) else b""
+    return _of_feet(feet) if expected.startswith(_BY_HEADERS) else b""
 
 
-def _told(begin: bytes, headers: Iterable[bytes]) -> str:
+def _hash_headers(begin: bytes, headers: Iterable[bytes]) -> str:
     """Return the hash of `begin` and the headers of a file, with the name of the method in front."""
     return _BY_HEADERS + _hashed(begin, headers)
 

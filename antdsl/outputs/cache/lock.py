@@ -84,7 +84,7 @@ class FolderLock:
                 if why.errno not in _HELD:  # a file system without locks, such as a network disk without its lock service
                     raise OSError(why.errno, os.strerror(why.errno or 0), str(self.path)) from None
                 process, host = _holder(handle)
-                if not _gone(process, host) or time.monotonic() - began > _PATIENCE:
+                if not _has_ended(process, host) or time.monotonic() - began > _PATIENCE:
                     where = f" of {host}" if host not in ("", _host()) else ""
                     raise Locked(f"process {process or '?'}{where} is writing to `{self.path.parent}`") from None
             time.sleep(_AGAIN)
@@ -113,7 +113,7 @@ def _holder(handle: int) -> tuple[str, str]:
     return (words[0] if words and words[0].isdigit() else "", words[1] if len(words) > 1 and words[1].isprintable() else "")
 
 
-def _gone(holder: str, host: str) -> bool:
+def _has_ended(holder: str, host: str) -> bool:
     """Return whether a process of this host is known to have ended, also while its exit code is still unread."""
     if os.name == "nt" or host not in ("", _host()) or not (holder.isascii() and holder.isdigit()):
         return False  # Windows frees a lock with the one process that holds it

@@ -12,14 +12,14 @@ from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
 
 from antdsl import limits
 from antdsl.bounded import TooLarge, read_bounded
-from antdsl.whole import write_whole
+from antdsl.whole import write_atomically
 
 FORMAT = 1
 MANIFEST = "manifest.json"
 _BYTES = 16 * limits.MIB
 
 Word = Annotated[str, Field(max_length=500)]
-Way = Annotated[str, Field(max_length=500, pattern=r"^([^:/\\\x00-\x1f]+/)*[^:/\\\x00-\x1f]+\.ya?ml$")]
+ScenePath = Annotated[str, Field(max_length=500, pattern=r"^([^:/\\\x00-\x1f]+/)*[^:/\\\x00-\x1f]+\.ya?ml$")]
 Triple = tuple[float, float, float]
 Look = Literal["metal", "soil", "leaf", "light", "none"]
 
@@ -183,7 +183,7 @@ class Manifest(Part):
     antdsl: Word
     made_with: Provenance | None = None
     scene: Word
-    scene_path: Way | None = None
+    scene_path: ScenePath | None = None
     inputs: dict[Word, Word]
     static: Word | None = None
     state_hash: int = 1
@@ -218,9 +218,9 @@ def way_to(file: Path, folder: Path) -> str | None:
     start = folder.resolve()
     for end in (Path(os.path.abspath(file)), file.resolve()):  # the way through links first: it stays below what both share
         if end.anchor == start.anchor and os.path.commonpath((start, end)) != start.anchor:
-            way = Path(os.path.relpath(end, start)).as_posix()
+            path = Path(os.path.relpath(end, start)).as_posix()
             try:
-                return TypeAdapter(Way).validate_python(way)
+                return TypeAdapter(ScenePath).validate_python(path)
             except ValidationError:
                 continue
     return None
@@ -229,7 +229,7 @@ def way_to(file: Path, folder: Path) -> str | None:
 def write_manifest(folder: Path, manifest: Manifest) -> None:
     """Put the manifest into a cache's folder, durably."""
     text = json.dumps(manifest.model_dump(mode="json"), indent=1, ensure_ascii=False) + "\n"
-    write_whole(folder / MANIFEST, text.encode())
+    write_atomically(folder / MANIFEST, text.encode())
 
 
 def read_manifest(folder: Path) -> Manifest:

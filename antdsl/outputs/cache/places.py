@@ -16,8 +16,8 @@ def scene_origin(world: World) -> tuple[float, float, float]:
     return x, y, z
 
 
-def scene_places(places: NDArray[np.floating], scale: float) -> NDArray[np.float32]:
+def scene_places(positions: NDArray[np.floating], scale: float) -> NDArray[np.float32]:
     """Convert positions in mm, relative to the world's origin, to scene units as float32. `scale`: scene units per millimetre."""
-    unsigned = places + 0.0  # a zero with a sign would change the bytes of a file
-    found: NDArray[np.float32] = (unsigned * scale).astype(np.float32)
-    return found
+    unsigned = positions + 0.0  # a zero with a sign would change the bytes of a file
+    scene_positions: NDArray[np.float32] = (unsigned * scale).astype(np.float32)
+    return scene_positions

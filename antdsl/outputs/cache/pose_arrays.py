@@ -55,39 +55,39 @@ def playing(population: Population) -> Iterator[str]:
 
 def clips_playing(population: Population, rows: NDArray[np.intp] | None = None, threads: int = 1) -> dict[str, NDArray[Any]]:
     """The arrays of a species: of its agents at some rows, of all by id where none are given."""
-    found: dict[str, NDArray[Any]] = {}
+    arrays: dict[str, NDArray[Any]] = {}
     for machine in playing(population):
         now = {field: population.now[f"{machine}.{register}"] for field, (register, _) in _REGISTERS.items()}
         early = now["earlier_fade"] > 0
         fields = FIELDS if early.any() and (early & (now["fade"] > 0)).any() else _USUAL
         named = f"clips.{population.name}.{machine}."
-        found |= {named + field: array for field, array in _told(population, rows, now, fields, threads).items()}
-    return found
+        arrays |= {named + field: array for field, array in _told(population, rows, now, fields, threads).items()}
+    return arrays
 
 
 def _told(
     population: Population, rows: NDArray[np.intp] | None, now: Arrays, fields: Sequence[str], threads: int
 ) -> dict[str, NDArray[Any]]:
     """Return the given fields of clips, the usual ones or more."""
-    found: dict[str, NDArray[Any]] = {}
+    values: dict[str, NDArray[Any]] = {}
     if rows is None:
-        found = {field: np.empty(len(population), _REGISTERS[field][1]) for field in _USUAL}
-        of = [tuple([arrays[field] for field in some]) for arrays in (now, found) for some in (_CLIPS, _SHARES)]
+        values = {field: np.empty(len(population), _REGISTERS[field][1]) for field in _USUAL}
+        of = [tuple([arrays[field] for field in names]) for arrays in (now, values) for names in (_CLIPS, _SHARES)]
         work = partial(frame_loops.playing, of[0], of[1], population.ranks(), of[2], of[3])
         parallel.in_parts(work, len(population), threads)
     rows = population.in_id_order() if rows is None else rows
-    for field in fields[len(found) :]:
-        found[field] = now[field].take(rows).astype(_REGISTERS[field][1], copy=False)
-    return found
+    for field in fields[len(values) :]:
+        values[field] = now[field].take(rows).astype(_REGISTERS[field][1], copy=False)
+    return values
 
 
 def machine_clips(species: str, machine: str, arrays: Arrays, count: int) -> MachineClips | None:
     """Return the clips that a machine of `count` agents plays; None where the arrays do not have them."""
     parts: list[NDArray[Any] | None] = []
     for field in FIELDS:
-        found = arrays.get(f"clips.{species}.{machine}.{field}")
-        if found is not None and found.shape == (count,):
-            parts.append(np.nan_to_num(np.asarray(found, _REGISTERS[field][1])))
+        array = arrays.get(f"clips.{species}.{machine}.{field}")
+        if array is not None and array.shape == (count,):
+            parts.append(np.nan_to_num(np.asarray(array, _REGISTERS[field][1])))
         elif field in EARLIER:
             parts.append(None)
         else:
@@ -98,8 +98,8 @@ def machine_clips(species: str, machine: str, arrays: Arrays, count: int) -> Mac
 def machines_of(species: SpeciesEntry, arrays: Arrays, count: int) -> tuple[MachineClips, ...] | None:
     """Return the clips that the machines of a species play in a frame with `count` of its agents; None where the frame does not
     have them."""
-    found = [machine_clips(species.name, machine, arrays, count) for machine in species.playing]
-    return None if any(each is None for each in found) else tuple(each for each in found if each is not None)
+    clips = [machine_clips(species.name, machine, arrays, count) for machine in species.playing]
+    return None if any(each is None for each in clips) else tuple(each for each in clips if each is not None)
 
 
 def placed_feet(world: World, species: str, scale: float) -> dict[str, NDArray[Any]]:
@@ -121,11 +121,11 @@ def feet_of(species: str, arrays: Arrays, count: int, legs: int) -> PlacedFeet |
     """Return the feet of a species in a frame with `count` agents and `legs` legs each; None where the frame does not have
     them."""
     shapes = {"P": (count, legs, 3), "down": (count, legs), "phase": (count,), "rise": (count,), "tilt": (count, 4)}
-    found = {name: arrays.get(f"feet.{species}.{name}") for name in shapes}
-    if not legs or any(array is None or array.shape != shapes[name] for name, array in found.items()):
+    parts = {name: arrays.get(f"feet.{species}.{name}") for name in shapes}
+    if not legs or any(array is None or array.shape != shapes[name] for name, array in parts.items()):
         return None
-    place, phase, rise, tilt = (np.asarray(found[name], np.float32) for name in ("P", "phase", "rise", "tilt"))
-    return PlacedFeet(place, np.asarray(found["down"], np.uint8), phase, rise, tilt)
+    place, phase, rise, tilt = (np.asarray(parts[name], np.float32) for name in ("P", "phase", "rise", "tilt"))
+    return PlacedFeet(place, np.asarray(parts["down"], np.uint8), phase, rise, tilt)
 
 
 def layers_worn(population: Population, setting: Setting) -> tuple[str, ...]:
@@ -134,16 +134,16 @@ def layers_worn(population: Population, setting: Setting) -> tuple[str, ...]:
     return tuple(dict.fromkeys((*population.plan.wears, *by_scene)))[: limits.LAYERS_WORN]
 
 
-def shown(population: Population, setting: Setting, some: NDArray[np.intp] | None = None) -> dict[str, NDArray[Any]]:
+def display_arrays(population: Population, setting: Setting, subset: NDArray[np.intp] | None = None) -> dict[str, NDArray[Any]]:
     """The arrays of a species: of its agents at some rows, of all by id where none are given."""
     name, now, plan = population.name, population.now, population.plan
-    rows = population.in_id_order() if some is None else some
+    rows = population.in_id_order() if subset is None else subset
     arrays: dict[str, NDArray[Any]] = {}
     layers = layers_worn(population, setting)
     if layers:
         mask = np.zeros(len(rows), np.uint64)
         for layer in plan.wears:
-            _put_on(population, now[f"wear#{layer}"], some, _bit(layers, layer), mask)
+            _put_on(population, now[f"wear#{layer}"], subset, _bit(layers, layer), mask)
         for worn in _by_scene(population, rows, setting, layers):
             mask |= worn
         arrays[f"wears.{name}"] = mask
@@ -159,21 +159,21 @@ def shown(population: Population, setting: Setting, some: NDArray[np.intp] | Non
 
 
 def _put_on(
-    population: Population, on: NDArray[np.bool_], some: NDArray[np.intp] | None, bit: np.uint64, mask: NDArray[np.uint64]
+    population: Population, on: NDArray[np.bool_], subset: NDArray[np.intp] | None, bit: np.uint64, mask: NDArray[np.uint64]
 ) -> None:
     """Set a bit in the masks of the agents that wear a layer: of those at some rows, or of all by id by default."""
-    if some is None:
+    if subset is None:
         frame_loops.worn(on, population.ranks(), bit.view(np.int64), mask.view(np.int64))
     else:
-        mask |= np.where(on[some], bit, np.uint64(0))
+        mask |= np.where(on[subset], bit, np.uint64(0))
 
 
 def worn_masks(species: SpeciesEntry, arrays: Arrays, count: int) -> NDArray[np.uint64]:
     """Return the mask of each of `count` agents of a species in a frame; 0 for all if the frame has none."""
-    found = arrays.get(f"wears.{species.name}")
-    if not species.wears or found is None or found.shape != (count,):
+    masks = arrays.get(f"wears.{species.name}")
+    if not species.wears or masks is None or masks.shape != (count,):
         return np.zeros(count, np.uint64)
-    return np.asarray(found, np.uint64) & np.uint64((1 << len(species.wears)) - 1)
+    return np.asarray(masks, np.uint64) & np.uint64((1 << len(species.wears)) - 1)
 
 
 def layers_of(species: SpeciesEntry, mask: int) -> tuple[str, ...]:

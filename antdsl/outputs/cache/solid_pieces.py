@@ -66,13 +66,15 @@ def start_pieces(world: World, scale: float) -> Arrays:
 def started(name: str, static: Mapping[str, NDArray[Any]]) -> Volume:
     """A solid as it was before anybody dug it."""
 
-    def kept(key: str) -> NDArray[Any]:
+    def read_array(key: str) -> NDArray[Any]:
         return np.array(static[f"solid.{name}.{key}"])
 
-    values = kept("values")
-    least, most = (float(end) for end in kept("band"))
-    a, b, c = (int(side) for side in kept("shape"))
-    bricks = Bricks(kept("origin"), float(kept("voxel")), (a, b, c), least, most, kept("table"), values, len(values) // CUBE)
+    values = read_array("values")
+    least, most = (float(end) for end in read_array("band"))
+    a, b, c = (int(side) for side in read_array("shape"))
+    bricks = Bricks(
+        read_array("origin"), float(read_array("voxel")), (a, b, c), least, most, read_array("table"), values, len(values) // CUBE
+    )
     bricks.begin()
     return Volume(bricks)
 

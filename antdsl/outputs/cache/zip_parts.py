@@ -56,8 +56,8 @@ def stored(members: Iterable[tuple[Form, memoryview]]) -> Stored:
     at = 0
     for form, rest in members:
         check = crc32(rest, form.check).to_bytes(4, "little")
-        before, after = form.header
-        header = before + check + after
+        prefix, suffix = form.header
+        header = prefix + check + suffix
         headers.append(header)
         parts += (header + form.head, rest)
         entries.append(_entry(form, check, at))
@@ -86,10 +86,12 @@ def form_of(name: str, head: bytes, rest: int) -> Form:
     """The form of members with `rest` bytes behind the head."""
     words, size = name.encode(), len(head) + rest
     flags = 0 if name.isascii() else _UTF8
-    told, version, extra = (size, _PLAIN, b"") if size <= LIMIT else (_ELSEWHERE, _LONG, _longs(size, size))
-    local = _LOCAL.pack(_MEMBER, version, flags, 0, _TIME, _DATE, 0, told, told, len(words), len(extra)) + words + extra
-    before, after = _around(_central(words, flags, size, 0), _CENTRAL_CHECK)
-    entry = before, *_around(after, _PLACE - _CENTRAL_CHECK - 4)
+    size_field, version, extra = (size, _PLAIN, b"") if size <= LIMIT else (_ELSEWHERE, _LONG, _longs(size, size))
+    local = (
+        _LOCAL.pack(_MEMBER, version, flags, 0, _TIME, _DATE, 0, size_field, size_field, len(words), len(extra)) + words + extra
+    )
+    prefix, suffix = _around(_central(words, flags, size, 0), _CENTRAL_CHECK)
+    entry = prefix, *_around(suffix, _PLACE - _CENTRAL_CHECK - 4)
     return Form(head, size, crc32(head), words, flags, _around(local, _LOCAL_CHECK), entry)
 
 
@@ -104,12 +106,12 @@ def read_headers(blocks: Iterator[bytes]) -> Iterator[bytes]:
     while (mark := file.upto(len(_MEMBER))) == _MEMBER:
         local = mark + file.exactly(_LOCAL.size - len(_MEMBER))
         check, size, _, words, extra = _LOCAL.unpack(local)[6:]
-        more = file.exactly(words + extra)
-        yield local + more
+        tail = file.exactly(words + extra)
+        yield local + tail
         if size == _ELSEWHERE:
             if extra != _TWO_LONGS.size:
                 raise NotStored
-            size = _TWO_LONGS.unpack(more[words:])[2]
+            size = _TWO_LONGS.unpack(tail[words:])[2]
         if file.check(size) != check:
             raise NotStored
     yield mark
@@ -127,32 +129,32 @@ class _Pieces:
         """Return at least one and at most `most` of the next bytes; none at the end."""
         if not self._left:
             self._left = memoryview(next(self._blocks, b""))
-        found, self._left = self._left[:most], self._left[most:]
-        return found
+        block, self._left = self._left[:most], self._left[most:]
+        return block
 
     def upto(self, count: int) -> bytes:
         """The next bytes, so many where there are."""
-        found = b""
-        while len(found) < count and (piece := self._next(count - len(found))):
-            found += piece
-        return found
+        data = b""
+        while len(data) < count and (piece := self._next(count - len(data))):
+            data += piece
+        return data
 
     def exactly(self, count: int) -> bytes:
         """Return `count` bytes. Raises NotStored where there are fewer."""
-        found = self.upto(count)
-        if len(found) < count:
+        data = self.upto(count)
+        if len(data) < count:
             raise NotStored
-        return found
+        return data
 
     def check(self, count: int) -> int:
         """Return the CRC-32 of `count` bytes. Raises NotStored where there are fewer."""
-        found = 0
+        checksum = 0
         while count:
             piece = self._next(count)
             if not piece:
                 raise NotStored
-            found, count = crc32(piece, found), count - len(piece)
-        return found
+            checksum, count = crc32(piece, checksum), count - len(piece)
+        return checksum
 
     def rest(self) -> Iterator[bytes]:
         """All that is left."""
@@ -163,33 +165,33 @@ class _Pieces:
 def _entry(form: Form, check: bytes, at: int) -> bytes:
     """Return the directory entry of a member that begins at an offset."""
     if at <= LIMIT:
-        before, after, rest = form.entry
-        return before + check + after + at.to_bytes(4, "little") + rest
-    before, after = _around(_central(form.words, form.flags, form.size, at), _CENTRAL_CHECK)
-    return before + check + after
+        prefix, suffix, rest = form.entry
+        return prefix + check + suffix + at.to_bytes(4, "little") + rest
+    prefix, suffix = _around(_central(form.words, form.flags, form.size, at), _CENTRAL_CHECK)
+    return prefix + check + suffix
 
 
 def _central(words: bytes, flags: int, size: int, at: int) -> bytes:
     """The same without the CRC-32."""
     longs = [size, size] if size > LIMIT else []
-    told, place = (_ELSEWHERE if longs else size), at
+    size_field, place = (_ELSEWHERE if longs else size), at
     if at > LIMIT:
         longs, place = [*longs, at], _ELSEWHERE
     version, extra = (_LONG, _longs(*longs)) if longs else (_PLAIN, b"")
     return _CENTRAL.pack(
-        b"PK\1\2", version, _SYSTEM, version, 0, flags, 0, _TIME, _DATE, 0, told, told,
+        b"PK\1\2", version, _SYSTEM, version, 0, flags, 0, _TIME, _DATE, 0, size_field, size_field,
         len(words), len(extra), 0, 0, 0, _ATTRIBUTES, place,
     ) + words + extra  # fmt: skip
 
 
 def _end(count: int, size: int, at: int) -> bytes:
     """Return the end record after the directory, which has `count` entries and `size` bytes and begins at an offset."""
-    found = b""
+    records = b""
     if count > MOST or at > LIMIT or size > LIMIT:
-        found = _LONG_END.pack(b"PK\6\6", 44, _LONG, _LONG, 0, 0, count, count, size, at)
-        found += _LOCATOR.pack(b"PK\6\7", 0, at + size, 1)
+        records = _LONG_END.pack(b"PK\6\6", 44, _LONG, _LONG, 0, 0, count, count, size, at)
+        records += _LOCATOR.pack(b"PK\6\7", 0, at + size, 1)
         count, size, at = min(count, MOST), min(size, _ELSEWHERE), min(at, _ELSEWHERE)
-    return found + _END.pack(b"PK\5\6", 0, 0, count, count, size, at, 0)
+    return records + _END.pack(b"PK\5\6", 0, 0, count, count, size, at, 0)
 
 
 def _longs(*numbers: int) -> bytes:

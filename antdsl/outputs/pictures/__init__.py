@@ -4,10 +4,10 @@ from antdsl.outputs.pictures.cameras import camera_at_eye_level, camera_over
 from antdsl.outputs.pictures.image_files import film, film_ready, still
 from antdsl.outputs.pictures.legend import contact_sheet, strip_width, with_strip
 from antdsl.outputs.pictures.model import Camera, Crowd, Item, LegendRow, Picture, Solid, Trail
-from antdsl.outputs.pictures.render import SHOWN, Renderer, render_frame
+from antdsl.outputs.pictures.render import DISPLAY_OPTIONS, Renderer, render_frame
 
 __all__ = [
-    "SHOWN",
+    "DISPLAY_OPTIONS",
     "Camera",
     "Crowd",
     "Item",

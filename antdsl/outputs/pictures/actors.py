@@ -55,12 +55,12 @@ class Part:
     colour: Floats
     gloss: Floats
 
-    def at(self, moment: float) -> Array:
-        """Return vertices (b, v, 3), `moment` frames later: each moves in a straight line."""
-        if self.then is None or moment == 0:
+    def at(self, time_offset: float) -> Array:
+        """Return vertices (b, v, 3), `time_offset` frames later: each moves in a straight line."""
+        if self.then is None or time_offset == 0:
             return self.local + self.place[:, None]
-        local = self.local + (self.then[0] - self.local) * np.float32(moment)
-        return np.asarray(local + (self.place + (self.then[1] - self.place) * moment)[:, None])
+        local = self.local + (self.then[0] - self.local) * np.float32(time_offset)
+        return np.asarray(local + (self.place + (self.then[1] - self.place) * time_offset)[:, None])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -93,21 +93,21 @@ class Actors:
         least, most = (middle - widest).min(axis=0), (middle + widest).max(axis=0)
         # A column more at each end, for float32.
         cell = np.maximum((most - least) / (_SHADOW_CELLS - 4), 1e-12)
-        places = []
+        coordinates = []
         for axis in range(2):
             turn = (across[:, axis] / cell[axis]).astype(np.float32)
             at = points @ turn
             at -= np.float32(least[axis] / cell[axis] - 2)
-            places.append(np.clip(at, 0, _SHADOW_CELLS - 1).astype(np.int32))
-        cells = places[1] * _SHADOW_CELLS + places[0]
-        found = []
+            coordinates.append(np.clip(at, 0, _SHADOW_CELLS - 1).astype(np.int32))
+        cells = coordinates[1] * _SHADOW_CELLS + coordinates[0]
+        masks = []
         for reach in reaches:
             first = np.floor((middle - half - reach - least) / cell).astype(np.int64) + 1
             last = np.floor((middle + half + reach - least) / cell).astype(np.int64) + 4
             covered = _covered(first, np.minimum(last, _SHADOW_CELLS), _SHADOW_CELLS, _SHADOW_CELLS)
             covered[:, [0, -1]] = covered[[0, -1]] = False  # what lies outside of the map
-            found.append(covered.reshape(-1)[cells])
-        return found
+            masks.append(covered.reshape(-1)[cells])
+        return masks
 
 
 def actors(
@@ -126,13 +126,13 @@ def actors(
             longest = max(longest, float(np.max(crowd.scale)))
     for item in picture.items:
         if item.shape != "none" and item.left > 0 and item.radius > 0:
-            made = item_mesh(item, picture.up, ground)
+            solid = item_mesh(item, picture.up, ground)
             place = np.asarray([item.position], np.float64)
-            local = (made.vertices - place).astype(np.float32)[None]
-            parts.append(Part(local, place, None, made.faces, made.normal, made.colour, made.gloss))
+            local = (solid.vertices - place).astype(np.float32)[None]
+            parts.append(Part(local, place, None, solid.faces, solid.normal, solid.colour, solid.gloss))
     widest = max((item.radius for item in picture.items), default=0.0)
     moments = _moments(parts, view, blur)
-    meshes = [_joined(parts, moment) for moment in moments]
+    meshes = [_joined(parts, time_offset) for time_offset in moments]
     boxes = _boxes(parts, blur)
     rays = tuple(PictureRays(mesh.vertices, mesh.faces) for mesh in meshes)
     mesh = meshes[len(meshes) // 2]
@@ -149,19 +149,19 @@ def _moments(parts: list[Part], view: View, blur: float) -> list[float]:
     longest = 0.0
     for part in parts:
         if part.then is not None and part.local.size:
-            ends = [part.at(moment)[:, ::7].reshape(-1, 3) for moment in (0.0, blur)]
+            ends = [part.at(time_offset)[:, ::7].reshape(-1, 3) for time_offset in (0.0, blur)]
             (a, first), (b, last) = (view.project(end) for end in ends)
-            way = np.linalg.norm(b - a, axis=1)[(first > 0) & (last > 0)]
-            longest = max(longest, float(np.quantile(way, 0.99)) if len(way) else 0.0)
+            displacement = np.linalg.norm(b - a, axis=1)[(first > 0) & (last > 0)]
+            longest = max(longest, float(np.quantile(displacement, 0.99)) if len(displacement) else 0.0)
     count = int(np.clip(np.ceil(longest / 1.5), 1, MOST_MOMENTS))
     return [blur * (k + 0.5) / count for k in range(count)]
 
 
-def _joined(parts: list[Part], moment: float) -> Mesh:
+def _joined(parts: list[Part], time_offset: float) -> Mesh:
     if not parts:
         none = np.zeros((0, 3), np.float32)
         return Mesh(none.astype(np.float64), np.zeros((0, 3), np.int32), none, none, none[:, 0])
-    points = [part.at(moment).reshape(-1, 3) for part in parts]
+    points = [part.at(time_offset).reshape(-1, 3) for part in parts]
     starts = np.cumsum([0] + [len(each) for each in points])
     return Mesh(
         np.concatenate(points),
@@ -174,14 +174,14 @@ def _joined(parts: list[Part], moment: float) -> Mesh:
 
 def _boxes(parts: list[Part], blur: float) -> tuple[Array, Array]:
     """Return the axis-aligned boxes of all bodies while the shutter is open: lowest and highest corners (b, 3)."""
-    found: list[tuple[Array, Array]] = [(np.zeros((0, 3)), np.zeros((0, 3)))]
+    corners: list[tuple[Array, Array]] = [(np.zeros((0, 3)), np.zeros((0, 3)))]
     for part in parts:
         low, high = part.local.min(axis=1) + part.place, part.local.max(axis=1) + part.place
         if part.then is not None and blur > 0:
             end = part.at(blur)
             low, high = np.minimum(low, end.min(axis=1)), np.maximum(high, end.max(axis=1))
-        found.append((low, high))
-    lows, highs = zip(*found, strict=True)
+        corners.append((low, high))
+    lows, highs = zip(*corners, strict=True)
     return np.concatenate(lows), np.concatenate(highs)
 
 
@@ -190,21 +190,21 @@ def _near(boxes: tuple[Array, Array], view: View) -> tuple[NDArray[np.bool_], ND
     may miss."""
     high, wide = view.height, view.width
     corners = np.stack([[boxes[bit >> axis & 1][:, axis] for axis in range(3)] for bit in range(8)])  # (8, 3, b)
-    places, ahead = view.project(np.moveaxis(corners, 2, 0).reshape(-1, 3))
-    places, ahead = places.reshape(-1, 8, 2), ahead.reshape(-1, 8)
-    low, high_ = places.min(axis=1), places.max(axis=1)
+    pixels, ahead = view.project(np.moveaxis(corners, 2, 0).reshape(-1, 3))
+    pixels, ahead = pixels.reshape(-1, 8, 2), ahead.reshape(-1, 8)
+    low, high_ = pixels.min(axis=1), pixels.max(axis=1)
     # What reaches behind the camera may be anywhere.
     around = (ahead <= 0).any(axis=1) & (ahead > 0).any(axis=1)
     low[around], high_[around] = -1, max(high, wide) + 1
-    seen = (ahead > 0).any(axis=1)
-    few = seen & ((high_ - low).max(axis=1) < _FEW)
+    is_ahead = (ahead > 0).any(axis=1)
+    few = is_ahead & ((high_ - low).max(axis=1) < _FEW)
 
     def covered(which: NDArray[np.bool_], margin: float) -> NDArray[np.bool_]:
         first = np.clip(np.floor(low[which] - margin), 0, (wide, high)).astype(np.int64)
         last = np.clip(np.ceil(high_[which] + margin) + (margin > 0), 0, (wide, high)).astype(np.int64)
         return _covered(first, last, wide, high).reshape(-1)
 
-    return covered(np.asarray(seen), 2.0), covered(np.asarray(few), 0.0)
+    return covered(np.asarray(is_ahead), 2.0), covered(np.asarray(few), 0.0)
 
 
 def _covered(first: NDArray[np.int64], last: NDArray[np.int64], wide: int, high: int) -> NDArray[np.bool_]:
@@ -222,15 +222,15 @@ def _crowd(crowd: Crowd, view: View, least: float, enlarged: float) -> list[Part
     scale = np.where(finite, scale, 1.0)
     depth = view.project(position)[1]
     # What is a little outside still throws its shadow into the picture.
-    seen = finite & (depth > -20 * scale) & _in_sight(position, depth, 20 * scale, view)
+    is_visible = finite & (depth > -20 * scale) & _in_sight(position, depth, 20 * scale, view)
     near = np.maximum(view.distance(position), 1e-9)
     pixels = scale / view.pixel_at(near)
-    large = np.flatnonzero(seen & (pixels >= CLOSE))
+    large = np.flatnonzero(is_visible & (pixels >= CLOSE))
     most = min(MOST_CLOSE, MOST_TRIANGLES // max(1, len(crowd.worn.fine.faces))) if len(large) else 0
     close = np.sort(large[np.argsort(-pixels[large], kind="stable")[:most]])
     sizes = np.minimum(np.maximum(scale, least * view.pixel_at(near)), enlarged * scale)
-    tiny = seen & (sizes < DISTANT * view.pixel_at(near))
-    far = np.setdiff1d(np.flatnonzero(seen & ~tiny), close)
+    tiny = is_visible & (sizes < DISTANT * view.pixel_at(near))
+    far = np.setdiff1d(np.flatnonzero(is_visible & ~tiny), close)
     # Of a body a few pixels long the parts with colours of their own would hide the state's.
     plain = np.where(pixels < CLOSE, np.clip(1 - pixels / CLOSE, 0.0, 1.0) ** 2, 0.0)
     levels = (("fine", close), ("coarse", far), ("distant", np.setdiff1d(np.flatnonzero(tiny), close)))
@@ -244,9 +244,9 @@ def _posed(crowd: Crowd, body: PosedBody, rows: NDArray[np.int64], size: Array, 
     turn, long = _turn(crowd, rows), size[rows].astype(np.float32)[:, None, None]
     local, normal = crowd.posed(body, rows)
     then = None
-    if crowd.after is not None:
-        later, _ = crowd.after.posed(body, rows)
-        then = np.matmul(later * long, _turn(crowd.after, rows)), np.asarray(crowd.after.position, np.float64)[rows]
+    if crowd.next_crowd is not None:
+        later, _ = crowd.next_crowd.posed(body, rows)
+        then = np.matmul(later * long, _turn(crowd.next_crowd, rows)), np.asarray(crowd.next_crowd.position, np.float64)[rows]
     bright = decoded(np.nan_to_num(np.asarray(crowd.colour, np.float32)[rows]))[:, None, :]
     tint = body.tint[None, :, None]
     tint = tint + (1 - tint) * (0.6 * plain[rows].astype(np.float32))[:, None, None]
@@ -277,12 +277,12 @@ def _part(
 
 def _in_sight(points: Array, depth: Array, margin: Array, view: View) -> NDArray[np.bool_]:
     """Return whether a ball of radius `margin` around each point intersects the view pyramid."""
-    seen = points - view.eye
+    offset = points - view.eye
     inside = np.ones(len(points), np.bool_)
     if view.parallel:
         depth = np.ones(len(points))
     for axis, half in ((view.right, view.half[0]), (view.above, view.half[1])):
-        inside &= np.abs(seen @ axis) - depth * half <= margin * float(np.hypot(1.0, half))
+        inside &= np.abs(offset @ axis) - depth * half <= margin * float(np.hypot(1.0, half))
     return inside
 
 
@@ -317,7 +317,7 @@ def _slump(points: Array, foot: Array, up: Array, size: float, ground: Setting) 
     away = points - foot
     level = points - (away @ up)[:, None] * up
     start = level + size * up
-    met = ground.rays.cast(start, np.broadcast_to((-up).astype(np.float32), start.shape))
-    down = np.where(np.isin(ground.kind[met.face], looks.TRAILED), met.t, np.inf)  # soil is heaped on no stone
+    hits = ground.rays.cast(start, np.broadcast_to((-up).astype(np.float32), start.shape))
+    down = np.where(np.isin(ground.kind[hits.face], looks.TRAILED), hits.t, np.inf)  # soil is heaped on no stone
     flat = np.linalg.norm(level - foot, axis=1)
     return np.clip(np.where(down <= 2 * size, size - np.minimum(down, 2 * size), 0.0), -_STEEP * flat, _STEEP * flat)

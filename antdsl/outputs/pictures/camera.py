@@ -46,17 +46,17 @@ class View:
     def project(self, points: Array) -> tuple[Array, Array]:
         """Return pixel positions (n, 2) and distances ahead (n,) of world points. A distance ≤ 0 means not in front of the
         camera."""
-        seen = np.asarray(points, np.float64) - self.eye
-        depth = seen @ self.ahead
+        offset = np.asarray(points, np.float64) - self.eye
+        depth = offset @ self.ahead
         safe = 1.0 if self.parallel else np.where(depth > 1e-9, depth, 1.0)
-        x = (seen @ self.right) / safe / self.half[0]
-        y = (seen @ self.above) / safe / self.half[1]
+        x = (offset @ self.right) / safe / self.half[0]
+        y = (offset @ self.above) / safe / self.half[1]
         return np.stack([(x + 1) * 0.5 * self.width, (1 - y) * 0.5 * self.height], axis=1), depth
 
     def distance(self, points: Array) -> Array:
         """How far along its ray each point (n, 3) is."""
-        seen = np.asarray(points, np.float64) - self.eye
-        return np.asarray(seen @ self.ahead if self.parallel else np.linalg.norm(seen, axis=1))
+        offset = np.asarray(points, np.float64) - self.eye
+        return np.asarray(offset @ self.ahead if self.parallel else np.linalg.norm(offset, axis=1))
 
     def pixel_at(self, depth: Any) -> Any:
         """Return the edge length of a pixel in world units at distances ahead, one or an array."""

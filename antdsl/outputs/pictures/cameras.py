@@ -75,9 +75,9 @@ def _all_points(picture: Picture, up: Array) -> Array:
 def _shares(at: Array, aim: Array, points: Array, up: Array, focal: float, aspect: float) -> tuple[Array, Array]:
     """Return the horizontal and vertical positions of points in the picture, within 0..1 where they are visible, and their
     distances ahead."""
-    seen = view(Camera(three(at), three(aim), focal=focal, up=three(up)), round(1000 * aspect), 1000, three(up))
-    places, ahead = seen.project(points)
-    return places / np.array([seen.width, seen.height]), ahead
+    camera_view = view(Camera(three(at), three(aim), focal=focal, up=three(up)), round(1000 * aspect), 1000, three(up))
+    pixels, ahead = camera_view.project(points)
+    return pixels / np.array([camera_view.width, camera_view.height]), ahead
 
 
 def _holds(at: Array, aim: Array, points: Array, up: Array, focal: float, aspect: float) -> bool:
@@ -137,9 +137,9 @@ def _with_company(crowd: Crowd) -> NDArray[np.int64]:
 
     points = np.where(np.isfinite(crowd.position), crowd.position, 1e12)
     reach = 12 * float(np.median(crowd.scale))
-    asked = np.unique(np.linspace(0, len(points) - 1, min(len(points), 600)).astype(np.int64))
-    company = cKDTree(points).query_ball_point(points[asked], reach, return_length=True)
-    order = asked[np.argsort(-np.minimum(company, 60), kind="stable")]
+    sample_rows = np.unique(np.linspace(0, len(points) - 1, min(len(points), 600)).astype(np.int64))
+    company = cKDTree(points).query_ball_point(points[sample_rows], reach, return_length=True)
+    order = sample_rows[np.argsort(-np.minimum(company, 60), kind="stable")]
     return order[: _TRIED * 4 : 4] if len(order) >= _TRIED * 4 else order[:_TRIED]
 
 
@@ -151,37 +151,37 @@ def _around(crowd: Crowd, row: int, focal: float, upright: Array, close: bool) -
     position = np.asarray(crowd.position, np.float64)[row]
     # The horizon stays level wherever the agent does not walk on a wall or overhead.
     top = upright if float(up @ upright) > 0.5 else up
-    made = []
+    cameras = []
     for angle in (150, -150, 35, -35, 115, -115, 75, -75):
         turn = np.radians(angle)
         level = np.cos(turn) * ahead + np.sin(turn) * side
         at = position + scale * ((1.5 * level + 0.62 * up) if close else (3.1 * level + 0.95 * up))
         aim = position + scale * ((0.17 * up) if close else (0.22 * up - 0.9 * level))
-        made.append(Camera(three(at), three(aim), focal=focal, up=three(top)))
-    return made
+        cameras.append(Camera(three(at), three(aim), focal=focal, up=three(top)))
+    return cameras
 
 
 def _score(crowd: Crowd, row: int, camera: Camera, rays: RayScene) -> float:
     """Return a score for how much of the crowd a camera shows; far below zero where ground or stone blocks the view."""
-    seen = view(camera, 160, 90, camera.up or (0.0, 1.0, 0.0))
+    camera_view = view(camera, 160, 90, camera.up or (0.0, 1.0, 0.0))
     scale = float(crowd.scale[row])
     target = np.asarray(crowd.position, np.float64)[row] + scale * 0.2 * np.asarray(camera.up)
     directions = np.stack(
         [
-            seen.eye - target,
-            -0.45 * scale * seen.above,
-            *(scale * axis for axis in (seen.ahead, seen.right, -seen.right, seen.above)),
+            camera_view.eye - target,
+            -0.45 * scale * camera_view.above,
+            *(scale * axis for axis in (camera_view.ahead, camera_view.right, -camera_view.right, camera_view.above)),
         ]
     )
-    if rays.occluded(np.stack([target, *[seen.eye] * 5]), directions, far=1.0).any():
+    if rays.occluded(np.stack([target, *[camera_view.eye] * 5]), directions, far=1.0).any():
         return -1e6
-    places, ahead = seen.project(np.where(np.isfinite(crowd.position), crowd.position, 0.0))
-    inside = (ahead < 60 * scale) & (places > 0).all(axis=1) & (places < [160, 90]).all(axis=1)
-    before, away = inside & (ahead > 0) & (ahead < 1.7 * scale), inside & (ahead >= 1.7 * scale)
-    clear = rays.cast(seen.eye[None], seen.ahead[None]).t[0] > 14 * scale
+    pixels, ahead = camera_view.project(np.where(np.isfinite(crowd.position), crowd.position, 0.0))
+    inside = (ahead < 60 * scale) & (pixels > 0).all(axis=1) & (pixels < [160, 90]).all(axis=1)
+    is_obstructing, away = inside & (ahead > 0) & (ahead < 1.7 * scale), inside & (ahead >= 1.7 * scale)
+    clear = rays.cast(camera_view.eye[None], camera_view.ahead[None]).t[0] > 14 * scale
     up = np.asarray(camera.up or (0.0, 1.0, 0.0), np.float64)
     sun = sun_over(up).towards.astype(np.float64)
     lit = not rays.occluded(target[None] + 0.3 * scale * up, sun[None]).any()
     company = float(np.minimum(1.0, 10 * scale / ahead[away]).sum()) * (1.0 if clear else 0.3) * (1.0 if lit else 0.2)
     # Light from the side of the camera shows what it falls on.
-    return company + 3.0 * lit * float(-seen.ahead @ sun) - 4.0 * float(before.sum())
+    return company + 3.0 * lit * float(-camera_view.ahead @ sun) - 4.0 * float(is_obstructing.sum())

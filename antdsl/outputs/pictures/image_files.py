@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from antdsl.bounded import open_bounded
 from antdsl.diagnostics.model import Report
-from antdsl.whole import whole, write_whole
+from antdsl.whole import atomic_path, write_atomically
 
 Image = NDArray[np.uint8]
 
@@ -22,7 +22,7 @@ def still(image: Image, path: Path) -> None:
 
     data = io.BytesIO()
     PillowImage.fromarray(np.ascontiguousarray(image)).save(data, format="PNG")
-    write_whole(path, data.getvalue())
+    write_atomically(path, data.getvalue())
 
 
 def film_ready() -> Report:
@@ -58,7 +58,7 @@ def film(images: Iterable[Image], path: Path, fps: float) -> Report:
         return report
     height, width = first.shape[0] // 2 * 2, first.shape[1] // 2 * 2
     try:
-        with whole(path, path.suffix or ".mp4") as part:
+        with atomic_path(path, path.suffix or ".mp4") as part:
             writer = imageio_ffmpeg.write_frames(
                 str(part), (width, height), fps=float(fps), quality=8, macro_block_size=2, ffmpeg_log_level="error"
             )
@@ -84,11 +84,13 @@ def _demand_frames(path: Path, count: int) -> None:
     import imageio_ffmpeg
 
     try:
-        there = imageio_ffmpeg.count_frames_and_secs(str(path))[0] or 0
+        frame_count = imageio_ffmpeg.count_frames_and_secs(str(path))[0] or 0
     except RuntimeError:
-        there = 0
-    if there < count or not _is_complete(path):
-        raise OSError(errno.EIO, f"{min(there, count - 1)} of {count} frames reached the disk, which may be full", str(path))
+        frame_count = 0
+    if frame_count < count or not _is_complete(path):
+        raise OSError(
+            errno.EIO, f"{min(frame_count, count - 1)} of {count} frames reached the disk, which may be full", str(path)
+        )
 
 
 def _is_complete(path: Path) -> bool:

@@ -25,8 +25,8 @@ _TICKS = (1.0, 0.1, 0.01, 0.001)  # of the strongest
 
 def strip_width(picture: Picture, width: int, show: tuple[str, ...]) -> int:
     """Return the width in pixels of the legend on a sheet `width` wide; 0 where there is nothing to show."""
-    told = picture.legend or (picture.trails and "trail" in show)
-    return min(max(round(_SHARE * width), 120), width // 2) if told else 0
+    has_content = picture.legend or (picture.trails and "trail" in show)
+    return min(max(round(_SHARE * width), 120), width // 2) if has_content else 0
 
 
 def with_strip(image: Image, picture: Picture, wide: int, show: tuple[str, ...]) -> Image:
@@ -34,8 +34,8 @@ def with_strip(image: Image, picture: Picture, wide: int, show: tuple[str, ...])
     if wide <= 0:
         return image
     high = image.shape[0]
-    strip = PillowImage.new("RGB", (wide, high), _PAPER)
-    draw = ImageDraw.Draw(strip)
+    strip_image = PillowImage.new("RGB", (wide, high), _PAPER)
+    draw = ImageDraw.Draw(strip_image)
     trails = [trail for trail in picture.trails if "trail" in show]
     species = [(name, list(rows)) for name, rows in groupby(picture.legend, key=lambda row: row.species)]
     lines = 1.6 + sum(1.7 + len(rows) for _, rows in species) + 4.2 * len(trails)
@@ -58,16 +58,16 @@ def with_strip(image: Image, picture: Picture, wide: int, show: tuple[str, ...])
             top += line
         top += round(0.45 * line)
     for trail in trails:
-        _scale(strip, draw, trail, (edge, top), wide - edge, size)
+        _scale(strip_image, draw, trail, (edge, top), wide - edge, size)
         top += round(4.2 * line)
-    return np.concatenate([image, np.asarray(strip)], axis=1)
+    return np.concatenate([image, np.asarray(strip_image)], axis=1)
 
 
-def _fitting(draw: ImageDraw.ImageDraw, picture: Picture, room: int, size: int) -> int:
+def _fitting(draw: ImageDraw.ImageDraw, picture: Picture, available_width: int, size: int) -> int:
     """Return the font size at which every state name fits beside its count, but at least 70 % of `size`."""
     small = size
     while small > max(8, round(0.7 * size)) and any(
-        draw.textlength(row.name, font=font(small)) + draw.textlength(f"{row.count:,}", font=font(small)) > room
+        draw.textlength(row.name, font=font(small)) + draw.textlength(f"{row.count:,}", font=font(small)) > available_width
         for row in picture.legend
     ):
         small -= 1
@@ -78,15 +78,15 @@ def _line(draw: ImageDraw.ImageDraw, name: str, count: str, place: tuple[int, in
     """Draw a name at the left, truncated if necessary, and a number at the right."""
     left, top = place
     number = draw.textlength(count, font=font(size))
-    room = right - left - number - size * 0.5
-    while len(name) > 2 and draw.textlength(name, font=font(size)) > room:
+    available_width = right - left - number - size * 0.5
+    while len(name) > 2 and draw.textlength(name, font=font(size)) > available_width:
         name = name[:-2].rstrip() + "…"
     draw.text((left, top), name, font=font(size), fill=_INK)
     draw.text((right - number, top), count, font=font(size), fill=_INK)
 
 
 def _scale(
-    strip: PillowImage.Image, draw: ImageDraw.ImageDraw, trail: Trail, place: tuple[int, int], right: int, size: int
+    strip_image: PillowImage.Image, draw: ImageDraw.ImageDraw, trail: Trail, place: tuple[int, int], right: int, size: int
 ) -> None:
     """Draw a bar in the colours of the field on level soil, labelled with the corresponding strengths."""
     left, top = place
@@ -96,7 +96,7 @@ def _scale(
     wide, high = right - left, round(size * 0.8)
     share = np.linspace(0, 1, wide).astype(np.float32)
     row = encoded(dyed(np.tile(SOIL, (wide, 1)).astype(np.float32), share, trail))
-    strip.paste(PillowImage.fromarray(np.tile(row[None], (high, 1, 1))), (left, top))
+    strip_image.paste(PillowImage.fromarray(np.tile(row[None], (high, 1, 1))), (left, top))
     top += high
     small = max(7, round(size * 0.8))
     taken = float(right + size)

@@ -32,8 +32,8 @@ class Sun:
         k = np.arange(count)
         angle = k * (np.pi * (3 - np.sqrt(5)))
         radius = np.sqrt((k + 0.5) / count) * SUN_WIDTH
-        way = self.towards + (radius * np.cos(angle))[:, None] * self.a + (radius * np.sin(angle))[:, None] * self.b
-        return np.asarray(way, np.float32)
+        directions = self.towards + (radius * np.cos(angle))[:, None] * self.a + (radius * np.sin(angle))[:, None] * self.b
+        return np.asarray(directions, np.float32)
 
 
 def sun_over(up: NDArray[np.float64], elevation: float = 40.0, azimuth: float = 280.0) -> Sun:

@@ -63,8 +63,8 @@ def surface(
     patch, _ = value_noise(points, scales.extent / 34, 2)
     albedo = np.empty_like(points)
     for code in np.unique(kind):
-        here = np.flatnonzero(kind == code)
-        albedo[here] = _COLOURS[int(code)](points[here], upness[here], large[here], patch[here], up, scales)
+        rows = np.flatnonzero(kind == code)
+        albedo[rows] = _COLOURS[int(code)](points[rows], upness[rows], large[rows], patch[rows], up, scales)
     own = np.flatnonzero(painted[:, 3] > 0)
     albedo[own] += (painted[own, :3] - albedo[own]) * painted[own, 3:]
     return _grained(albedo, normal, kind, points, pixel, scales)
@@ -86,15 +86,15 @@ def _grained(albedo: Floats, normal: Floats, kind: NDArray[np.uint8], points: Fl
         (0.012, 0.42, 0.30, 11),
     ):
         length = wavelength * scales.grain
-        seen = np.clip(length / pixel * 0.4 - 0.5, 0.0, 1.0) * rough
-        here = np.flatnonzero(seen > 0.01)
-        if not len(here):
+        visibility = np.clip(length / pixel * 0.4 - 0.5, 0.0, 1.0) * rough
+        rows = np.flatnonzero(visibility > 0.01)
+        if not len(rows):
             continue
-        value, slope = value_noise(points[here], length, seed)
-        own = normal[here]
+        value, slope = value_noise(points[rows], length, seed)
+        own = normal[rows]
         slope -= own * dots(slope, own)[:, None]
-        normal[here] = own - slope * (seen[here] * np.float32(height * length * 0.5))[:, None]
-        albedo[here] *= (1 + seen[here] * value * np.float32(speck))[:, None]
+        normal[rows] = own - slope * (visibility[rows] * np.float32(height * length * 0.5))[:, None]
+        albedo[rows] *= (1 + visibility[rows] * value * np.float32(speck))[:, None]
     _sanded(albedo, normal, kind, points, pixel, scales)
     return Surface(albedo, units(normal))
 
@@ -104,24 +104,24 @@ def _sanded(albedo: Floats, normal: Floats, kind: NDArray[np.uint8], points: Flo
     loose = np.flatnonzero(np.isin(kind, _LOOSE))
     for size, share, seed in ((0.11, 0.16, 21), (0.042, 0.42, 22), (0.016, 0.85, 23), (0.006, 1.0, 24)):
         length = size * scales.grain
-        seen = np.clip(length / pixel[loose] * 0.5 - 0.8, 0.0, 1.0)
-        here = np.flatnonzero(seen > 0.01)
-        if not len(here):
+        visibility = np.clip(length / pixel[loose] * 0.5 - 0.8, 0.0, 1.0)
+        visible_rows = np.flatnonzero(visibility > 0.01)
+        if not len(visible_rows):
             continue
-        rows, seen = loose[here], seen[here]
+        rows, visibility = loose[visible_rows], visibility[visible_rows]
         if share < 1:
             patch, _ = value_noise(points[rows], 9 * length, seed + 10)
-            seen = seen * np.clip((patch + 2 * np.float32(share) - 1) * 2 + 0.5, 0.0, 1.0)
-            kept = np.flatnonzero(seen > 0.01)
-            rows, seen = rows[kept], seen[kept]
-        out, way, tone = grain_noise(points[rows], length, seed)
+            visibility = visibility * np.clip((patch + 2 * np.float32(share) - 1) * 2 + 0.5, 0.0, 1.0)
+            patch_rows = np.flatnonzero(visibility > 0.01)
+            rows, visibility = rows[patch_rows], visibility[patch_rows]
+        out, offset, tone = grain_noise(points[rows], length, seed)
         bare = normal[rows]
-        way -= bare * dots(way, bare)[:, None]
-        normal[rows] = bare + way * (seen * np.float32(0.42) * out)[:, None]
+        offset -= bare * dots(offset, bare)[:, None]
+        normal[rows] = bare + offset * (visibility * np.float32(0.42) * out)[:, None]
         light = 1 + np.float32(0.17) * tone - np.float32(0.30) * out**4
-        albedo[rows] *= (1 + seen * (light - 1))[:, None]
+        albedo[rows] *= (1 + visibility * (light - 1))[:, None]
         # Some grains are quartz, some dark rock.
-        pale, dark = np.clip((tone - 0.84) * 7, 0, 1) * seen, np.clip((-tone - 0.86) * 7, 0, 1) * seen
+        pale, dark = np.clip((tone - 0.84) * 7, 0, 1) * visibility, np.clip((-tone - 0.86) * 7, 0, 1) * visibility
         albedo[rows] += (_QUARTZ - albedo[rows]) * (0.5 * pale)[:, None]
         albedo[rows] += (_BASALT - albedo[rows]) * (0.5 * dark)[:, None]
 
@@ -188,29 +188,29 @@ def _light(points: Floats, upness: Floats, large: Floats, patch: Floats, up: Flo
 _COLOURS = (_ground, _stone, _boulder, _hill, _table, _edge, _grain, _figure, _metal, _leaf, _light)
 
 
-def glow(kind: NDArray[np.uint8], look: Surface, way: Floats, sun: Sun) -> Floats:
-    """Return the light (n, 3) of samples seen along `way` in addition to scattered light: reflections of metal and leaves, and
-    emission."""
+def glow(kind: NDArray[np.uint8], look: Surface, direction: Floats, sun: Sun) -> Floats:
+    """Return the light (n, 3) of samples seen along `direction` in addition to scattered light: reflections of metal and leaves,
+    and emission."""
     light = np.zeros((len(kind), 3), np.float32)
     for code, colour, least in ((METAL, STEEL, 0.75), (LEAF, np.ones(3, np.float32), 0.04)):
-        here = np.flatnonzero(kind == code)
-        if len(here):
-            normal, ray = look.normal[here], way[here]
-            light[here] = mirrored(normal, ray, sun) * schlick(normal, ray, least)[:, None] * colour
+        rows = np.flatnonzero(kind == code)
+        if len(rows):
+            normal, ray = look.normal[rows], direction[rows]
+            light[rows] = mirrored(normal, ray, sun) * schlick(normal, ray, least)[:, None] * colour
     light[kind == LIGHT] = LIT * BRIGHT
     return light
 
 
-def mirrored(normal: Floats, way: Floats, sun: Sun) -> Floats:
-    """Return the reflections (n, 3) of sky and ground for rays with directions `way` (n, 3)."""
-    back = np.clip(-dots(normal, way), 0, 1)
-    return around(way + normal * (2 * back)[:, None], sun)
+def mirrored(normal: Floats, direction: Floats, sun: Sun) -> Floats:
+    """Return the reflections (n, 3) of sky and ground for rays with directions `direction` (n, 3)."""
+    back = np.clip(-dots(normal, direction), 0, 1)
+    return around(direction + normal * (2 * back)[:, None], sun)
 
 
-def schlick(normal: Floats, way: Floats, least: float) -> Floats:
+def schlick(normal: Floats, direction: Floats, least: float) -> Floats:
     """Return the reflected share (n,) of light: `least` for perpendicular rays, all at a grazing angle (Schlick, Computer
     Graphics Forum 13(3), 1994)."""
-    return np.asarray(least + (1 - least) * (1 - np.clip(-dots(normal, way), 0, 1)) ** 5, np.float32)
+    return np.asarray(least + (1 - least) * (1 - np.clip(-dots(normal, direction), 0, 1)) ** 5, np.float32)
 
 
 def _turned(rows: Floats, matrix: Floats) -> Floats:
@@ -232,9 +232,9 @@ def value_noise(points: Floats, wavelength: float, seed: int) -> tuple[Floats, F
     """Value (n,) within −1..1 and gradient (n, 3), per world unit, at `points` (n, 3); smooth, about one bump a `wavelength`."""
     table = _noise_table(seed)
     scaled = _turned(points, _TURN * np.float32(1.0 / wavelength))
-    whole = np.floor(scaled)
-    part = scaled - whole
-    cell = whole.astype(np.int32) & (_EDGE - 1)
+    lattice = np.floor(scaled)
+    part = scaled - lattice
+    cell = lattice.astype(np.int32) & (_EDGE - 1)
     following = (cell + 1) & (_EDGE - 1)
     ease = part * part * (3 - 2 * part)
     slope = 6 * part * (1 - part) * np.float32(1.0 / wavelength)
@@ -272,14 +272,14 @@ def grain_noise(points: Floats, size: float, seed: int) -> tuple[Floats, Floats,
     cell = low.astype(np.int32)
     inside = scaled - low
     nearest = np.full(len(points), np.inf, np.float32)
-    way, tone = np.zeros_like(points), np.zeros(len(points), np.float32)
+    nearest_offset, tone = np.zeros_like(points), np.zeros(len(points), np.float32)
     for x in (0, 1):
         for y in (0, 1):
             for z in (0, 1):
                 own = ((cell[:, 0] + x) & (_EDGE - 1)) * (_EDGE * _EDGE) + ((cell[:, 1] + y) & (_EDGE - 1)) * _EDGE
                 grain = table.take(own + ((cell[:, 2] + z) & (_EDGE - 1)), axis=0)
-                apart = inside - np.array([x + 0.5, y + 0.5, z + 0.5], np.float32) - grain[:, :3] * np.float32(0.42)
-                square = np.einsum("nc,nc->n", apart, apart)
+                offset = inside - np.array([x + 0.5, y + 0.5, z + 0.5], np.float32) - grain[:, :3] * np.float32(0.42)
+                square = np.einsum("nc,nc->n", offset, offset)
                 nearer = np.flatnonzero(square < nearest)
-                nearest[nearer], way[nearer], tone[nearer] = square[nearer], apart[nearer], grain[nearer, 3]
-    return np.minimum(np.sqrt(nearest) * np.float32(1.5), 1), _turned(way, _TURN.T * np.float32(1.5)), tone
+                nearest[nearer], nearest_offset[nearer], tone[nearer] = square[nearer], offset[nearer], grain[nearer, 3]
+    return np.minimum(np.sqrt(nearest) * np.float32(1.5), 1), _turned(nearest_offset, _TURN.T * np.float32(1.5)), tone

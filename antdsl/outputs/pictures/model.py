@@ -37,10 +37,10 @@ class Solid:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Paths:
-    """Positions of agents over consecutive frames: `places` (n, frames, 3), NaN where an agent is missing. `now` is the index of
-    the picture's own frame."""
+    """Positions of agents over consecutive frames: `positions` (n, frames, 3), NaN where an agent is missing. `now` is the index
+    of the picture's own frame."""
 
-    places: Array
+    positions: Array
     now: int
 
 
@@ -56,8 +56,8 @@ class Crowd:
 
     `worn` is their body (an ant by default), posed by the clips that agents play; `plays` is what each of their machines does.
     `driven` is what else their states display, and `feet` is where they stand, if known. A species with agents in different
-    layers is several crowds. `after`: the same agents, row by row, in the next frame, for motion blur. `ids`, `velocity` (n, 3),
-    `feelers` (k, 2, 3: starts and ends) and `paths` are needed only where they are displayed."""
+    layers is several crowds. `next_crowd`: the same agents, row by row, in the next frame, for motion blur. `ids`, `velocity` (n,
+    3), `feelers` (k, 2, 3: starts and ends) and `paths` are needed only where they are displayed."""
 
     species: str
     position: Array
@@ -72,7 +72,7 @@ class Crowd:
     plays: tuple[MachineClips, ...] = ()
     feet: PlacedFeet | None = None
     driven: Driven = NOTHING
-    after: "Crowd | None" = None
+    next_crowd: "Crowd | None" = None
 
     def poses(self, local: bool = False) -> Poses:
         """Return transforms and channels of all agents in the space of their body."""
@@ -106,11 +106,11 @@ class Crowd:
             ids=of(self.ids),
             velocity=of(self.velocity),
             feelers=None,
-            paths=None if self.paths is None else replace(self.paths, places=self.paths.places[chosen]),
+            paths=None if self.paths is None else replace(self.paths, positions=self.paths.positions[chosen]),
             plays=tuple(each.rows(chosen) for each in self.plays),
             feet=None if self.feet is None else self.feet.rows(chosen),
             driven=self.driven.rows(chosen),
-            after=None if self.after is None else self.after.rows(chosen),
+            next_crowd=None if self.next_crowd is None else self.next_crowd.rows(chosen),
         )
 
 
@@ -149,7 +149,7 @@ class Arrows:
 
     name: str
     position: Array
-    way: Array
+    displacement: Array
     colour: tuple[int, int, int]
 
 

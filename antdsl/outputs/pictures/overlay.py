@@ -48,15 +48,15 @@ def draw_overlay(
         if crowd.paths is not None:
             _draw_paths(draw, view, crowd.paths, far)
     for crowd in picture.crowds:
-        seen = _visible(crowd, view, far)
+        is_visible = _visible(crowd, view, far)
         if "velocity" in show and crowd.velocity is not None:
-            lift = _lifted(crowd)[seen]
-            _draw_lines(draw, view, np.stack([lift, lift + _AHEAD * np.asarray(crowd.velocity)[seen]], axis=1), _VELOCITY)
+            lift = _lifted(crowd)[is_visible]
+            _draw_lines(draw, view, np.stack([lift, lift + _AHEAD * np.asarray(crowd.velocity)[is_visible]], axis=1), _VELOCITY)
         if "feelers" in show and crowd.feelers is not None and len(crowd.feelers):
             ends = np.asarray(crowd.feelers, np.float64)
             _draw_lines(draw, view, ends[_unhidden(ends[:, 0], view, far)], _FEELER)
         if "ids" in show and crowd.ids is not None:
-            _draw_ids(draw, view, crowd, np.flatnonzero(seen)[:_MOST_IDS])
+            _draw_ids(draw, view, crowd, np.flatnonzero(is_visible)[:_MOST_IDS])
     return np.asarray(canvas)
 
 
@@ -72,9 +72,9 @@ def _visible(crowd: Crowd, view: View, depth: NDArray[np.float32]) -> NDArray[np
 
 def _unhidden(points: Array, view: View, depth: NDArray[np.float32]) -> NDArray[np.bool_]:
     """Return whether each point is in the picture and not hidden by a static thing."""
-    places, ahead = view.project(points)
-    inside = (ahead > 0) & (places >= 0).all(axis=1) & (places[:, 0] < view.width) & (places[:, 1] < view.height)
-    column, row = np.where(inside[:, None], places, 0).astype(np.int64).T
+    pixels, ahead = view.project(points)
+    inside = (ahead > 0) & (pixels >= 0).all(axis=1) & (pixels[:, 0] < view.width) & (pixels[:, 1] < view.height)
+    column, row = np.where(inside[:, None], pixels, 0).astype(np.int64).T
     distance = view.distance(points)
     near = distance <= depth[row, column] * 1.005 + view.pixel_at(np.maximum(ahead, 0)) * 2
     return np.asarray(inside & near)
@@ -84,11 +84,11 @@ def _draw_lines(draw: ImageDraw.ImageDraw, view: View, ends: Array, colour: tupl
     """Draw lines between end points (n, 2, 3) that are both in front of the camera."""
     if not len(ends):
         return
-    places, ahead = view.project(ends.reshape(-1, 3))
-    pairs = places.reshape(-1, 4)
-    kept = (ahead.reshape(-1, 2) > 0).all(axis=1) & (np.abs(pairs) < 1e5).all(axis=1)
+    pixels, ahead = view.project(ends.reshape(-1, 3))
+    pairs = pixels.reshape(-1, 4)
+    is_drawn = (ahead.reshape(-1, 2) > 0).all(axis=1) & (np.abs(pairs) < 1e5).all(axis=1)
     width = 2 if view.height >= 900 else 1
-    for a, b, c, d in pairs[kept].tolist():
+    for a, b, c, d in pairs[is_drawn].tolist():
         draw.line((a, b, c, d), fill=(*colour, 215), width=width)
 
 
@@ -96,14 +96,14 @@ def _draw_paths(draw: ImageDraw.ImageDraw, view: View, paths: Paths, depth: NDAr
     """Draw past paths dark and future paths bright, position by position, fainter towards their ends.
 
     Segments with a hidden or missing end are left out. The segments nearest to the current frame are on top."""
-    count, frames = paths.places.shape[:2]
-    points = paths.places.reshape(-1, 3)
-    there = np.isfinite(points).all(axis=1)
-    shown = np.zeros(len(points), np.bool_)
-    shown[there] = _unhidden(points[there], view, depth)
-    places = np.zeros((len(points), 2))
-    places[shown] = view.project(points[shown])[0]
-    seen, flat = shown.reshape(count, frames), places.reshape(count, frames, 2)
+    count, frames = paths.positions.shape[:2]
+    points = paths.positions.reshape(-1, 3)
+    is_present = np.isfinite(points).all(axis=1)
+    is_visible = np.zeros(len(points), np.bool_)
+    is_visible[is_present] = _unhidden(points[is_present], view, depth)
+    pixels = np.zeros((len(points), 2))
+    pixels[is_visible] = view.project(points[is_visible])[0]
+    visible_steps, flat = is_visible.reshape(count, frames), pixels.reshape(count, frames, 2)
     width = 3 if view.height >= 900 else 2
     order = [*range(paths.now), *reversed(range(paths.now, frames - 1))]  # from each end towards the agent
     for k in order:
@@ -111,19 +111,19 @@ def _draw_paths(draw: ImageDraw.ImageDraw, view: View, paths: Paths, depth: NDAr
         share = (k + 1 - paths.now) / max(frames - 1 - paths.now, 1) if ahead else (paths.now - k) / max(paths.now, 1)
         shade = np.ceil((1.0 - share) * _PATH_SHADES) / _PATH_SHADES
         alpha = round(_PATH_ALPHA[0] + (_PATH_ALPHA[1] - _PATH_ALPHA[0]) * float(shade))
-        both = seen[:, k] & seen[:, k + 1]
+        both = visible_steps[:, k] & visible_steps[:, k + 1]
         for line in flat[both, k : k + 2].reshape(-1, 4).tolist():
             draw.line(line, fill=(*(_WILL_BE if ahead else _WAS), alpha), width=width)
 
 
-def _draw_arrows(draw: ImageDraw.ImageDraw, view: View, flow: Arrows, seen: NDArray[np.bool_]) -> None:
+def _draw_arrows(draw: ImageDraw.ImageDraw, view: View, flow: Arrows, is_visible: NDArray[np.bool_]) -> None:
     """Draw the arrows of a flow that start at a visible point."""
-    start, way = flow.position[seen], flow.way[seen]
+    start, displacement = flow.position[is_visible], flow.displacement[is_visible]
     if not len(start):
         return
-    (a, near), (b, far) = view.project(start), view.project(start + way)
-    kept = (near > 0) & (far > 0) & (np.abs(a) < 1e5).all(axis=1) & (np.abs(b) < 1e5).all(axis=1)
-    a, b = a[kept], b[kept]
+    (a, near), (b, far) = view.project(start), view.project(start + displacement)
+    is_drawn = (near > 0) & (far > 0) & (np.abs(a) < 1e5).all(axis=1) & (np.abs(b) < 1e5).all(axis=1)
+    a, b = a[is_drawn], b[is_drawn]
     back = (a - b) * _HEAD
     c, s = np.cos(_SPREAD), np.sin(_SPREAD)
     for sign in (-1, 1):
@@ -138,8 +138,8 @@ def _draw_ids(draw: ImageDraw.ImageDraw, view: View, crowd: Crowd, rows: NDArray
     if crowd.ids is None:
         return
     size = max(9, view.height // 54)
-    places, _ = view.project(_lifted(crowd)[rows])
-    for (x, y), name in zip(places.tolist(), np.asarray(crowd.ids)[rows].tolist(), strict=True):
+    pixels, _ = view.project(_lifted(crowd)[rows])
+    for (x, y), name in zip(pixels.tolist(), np.asarray(crowd.ids)[rows].tolist(), strict=True):
         draw.text(
             (x + size * 0.3, y - size * 1.1),
             str(name),
@@ -156,13 +156,13 @@ def _marked(canvas: PillowImage.Image, picture: Picture, view: View, far: NDArra
     times = 4 if view.width * view.height <= 1 << 20 else 2
     sheet = PillowImage.new("RGBA", (view.width * times, view.height * times))
     draw = ImageDraw.Draw(sheet)
-    found = []
+    discs = []
     for crowd in picture.crowds:
-        seen = _visible(crowd, view, far)
-        places, ahead = view.project(np.where(seen[:, None], _lifted(crowd), 0.0))
+        is_visible = _visible(crowd, view, far)
+        pixels, ahead = view.project(np.where(is_visible[:, None], _lifted(crowd), 0.0))
         colour = np.clip(np.nan_to_num(np.asarray(crowd.colour, np.float64)) * 255, 0, 255).round()
-        found.append(np.concatenate([ahead[:, None], places, colour], axis=1)[seen])
-    every = np.concatenate(found or [np.zeros((0, 6))])
+        discs.append(np.concatenate([ahead[:, None], pixels, colour], axis=1)[is_visible])
+    every = np.concatenate(discs or [np.zeros((0, 6))])
     for _, x, y, *colour in every[np.argsort(-every[:, 0], kind="stable")].tolist():
         x, y, reach = x * times, y * times, wide * times / 2
         edge = max(1.0, reach * 0.3)

@@ -16,7 +16,7 @@ from antdsl.outputs.pictures.trails import Dyes
 Rows = NDArray[np.int64]
 
 _CONTACT_RAYS = 4  # of every fourth pixel
-_SEEN = 0.03  # difference of two pixels' display values that an eye sees
+_VISIBLE_DIFFERENCE = 0.03  # difference of two pixels' display values that an eye sees
 _FEWEST, _BUDGET = 4, 1.1  # samples of a refined pixel at least, and of all of them for each pixel of the picture
 
 
@@ -37,51 +37,55 @@ class First:
 
 def middles(still: Stage, lighting: Lighting, dyes: Dyes) -> First:
     """The light of all pixels by their middles."""
-    seen, cast, threads = still.middle, lighting.cast, lighting.threads
-    visible, opened = np.ones(len(seen), np.float32), still.shade
+    samples, cast, threads = still.middle, lighting.cast, lighting.threads
+    visible, opened = np.ones(len(samples), np.float32), still.shade
     if cast.size > 0:
         reach = 1.1 * cast.size
-        shadowed, around = cast.shading(seen.point, lighting.sun, (SUN_WIDTH * cast.throw, reach))
-        visible = sunlit(still.grid, seen.sun, lighting.sun, cast.rays[:: 1 + (len(cast.rays) > 4)], cast.tall, threads, shadowed)
+        shadowed, around = cast.shading(samples.point, lighting.sun, (SUN_WIDTH * cast.throw, reach))
+        visible = sunlit(
+            still.grid, samples.sun, lighting.sun, cast.rays[:: 1 + (len(cast.rays) > 4)], cast.tall, threads, shadowed
+        )
         contact = open_share(still.grid, cast.rays[len(cast.rays) // 2], reach, _CONTACT_RAYS, threads, around)
         opened = opened * contact
-    albedo = dyes.coloured(seen)
-    behind = np.empty_like(seen.way)
+    albedo = dyes.coloured(samples)
+    behind = np.empty_like(samples.direction)
 
     def fill(own: slice) -> None:
-        behind[own] = displayed(still_light(lighting, seen, own, albedo[own], visible[own], opened[own]))
+        behind[own] = displayed(still_light(lighting, samples, own, albedo[own], visible[own], opened[own]))
 
-    each(fill, pieces(len(seen)), threads)
+    each(fill, pieces(len(samples)), threads)
     light = behind.copy()
-    front, swept = np.zeros(len(seen), np.bool_), cast.tiny.copy()
+    front, swept = np.zeros(len(samples), np.bool_), cast.tiny.copy()
     near = np.flatnonzero(cast.near)
-    every = [before(still, lighting, near, seen.far[near], (0.5, 0.5), moment) for moment in range(len(cast.rays))]
-    kept, hits = every[len(every) // 2]
-    rows = near[kept]
+    every = [
+        find_moving(still, lighting, near, samples.far[near], (0.5, 0.5), time_index) for time_index in range(len(cast.rays))
+    ]
+    hit_rows, hits = every[len(every) // 2]
+    rows = near[hit_rows]
     front[rows] = True
     if len(every) > 1:
         for other, _ in every:
             swept[near[other]] = True
-    start, way = still.view.rays(rows)
-    place = np.broadcast_to(start, way.shape).astype(np.float32)
+    start, direction = still.view.rays(rows)
+    place = np.broadcast_to(start, direction.shape).astype(np.float32)
     for own in pieces(len(rows)):
-        part = _some(hits, own)
-        lit = moving_light(lighting, part, place[own], way[own], len(every) // 2, lighting.sun.towards)
+        part = _select_hits(hits, own)
+        lit = moving_light(lighting, part, place[own], direction[own], len(every) // 2, lighting.sun.towards)
         light[rows[own]] = displayed(lit)
     return First(light, behind, opened, front, swept)
 
 
-def before(
-    still: Stage, lighting: Lighting, pixels: Rows, far: Floats, place: tuple[float, float], moment: int
+def find_moving(
+    still: Stage, lighting: Lighting, pixels: Rows, far: Floats, place: tuple[float, float], time_index: int
 ) -> tuple[Rows, Sights]:
     """Return which rays through one position in some pixels hit a moving thing nearer than `far` at a moment, and the hits."""
-    start, way = still.view.rays(pixels, *place)
-    hits = lighting.cast.rays[moment].cast(start, way, lighting.threads)
-    kept = np.flatnonzero(hits.t < far)
-    return kept, _some(hits, kept)
+    start, direction = still.view.rays(pixels, *place)
+    hits = lighting.cast.rays[time_index].cast(start, direction, lighting.threads)
+    rows = np.flatnonzero(hits.t < far)
+    return rows, _select_hits(hits, rows)
 
 
-def _some(hits: Sights, rows: Rows | slice) -> Sights:
+def _select_hits(hits: Sights, rows: Rows | slice) -> Sights:
     return Sights(*(getattr(hits, each.name)[rows] for each in fields(Sights)))
 
 
@@ -100,11 +104,11 @@ def refined(still: Stage, lighting: Lighting, dyes: Dyes, first: First, most: in
     total = np.zeros((len(pixels), 3), np.float32)
     # The order of moments is not that of places in the pixel.
     order = np.argsort(np.arange(count) * 0.6180339887498949 % 1.0, kind="stable") * moments // count
-    for number, moment in enumerate(order.tolist()):
-        one = _Sample(still, lighting, spot(number, count), moment, spots[number])
+    for number, time_index in enumerate(order.tolist()):
+        one = _Sample(still, lighting, spot(number, count), time_index, spots[number])
         total[edges] += one.lit(dyes, first, still.sampled(number, count, lighting.threads))
         # Where the surface goes on, what stands still is as it is in the pixel's middle.
-        total[others] += one.before(pixels[others], still.middle.far[pixels[others]], first.behind[pixels[others]])
+        total[others] += one.add_moving(pixels[others], still.middle.far[pixels[others]], first.behind[pixels[others]])
     light[pixels] = total / count
     return light
 
@@ -116,37 +120,39 @@ class _Sample:
     still: Stage
     lighting: Lighting
     place: tuple[float, float]
-    moment: int
+    time_index: int
     sunspot: Floats
 
-    def lit(self, dyes: Dyes, first: First, seen: Samples) -> Floats:
+    def lit(self, dyes: Dyes, first: First, samples: Samples) -> Floats:
         """Return display-linear light (n, 3) of samples of static things, and of moving things in front of them."""
-        visible = shadowed(self.lighting, seen, self.moment, self.sunspot)
-        light = still_light(self.lighting, seen, slice(None), dyes.coloured(seen), visible, first.opened[seen.pixel])
-        return self.before(seen.pixel, seen.far, displayed(light))
+        visible = shadowed(self.lighting, samples, self.time_index, self.sunspot)
+        light = still_light(self.lighting, samples, slice(None), dyes.coloured(samples), visible, first.opened[samples.pixel])
+        return self.add_moving(samples.pixel, samples.far, displayed(light))
 
-    def before(self, pixels: Rows, far: Floats, light: Floats) -> Floats:
+    def add_moving(self, pixels: Rows, far: Floats, light: Floats) -> Floats:
         """Return `light` of pixels, replaced where a moving thing is nearer than the static distance `far`."""
         near = np.flatnonzero(self.lighting.cast.near[pixels])
-        rows, hits = before(self.still, self.lighting, pixels[near], far[near], self.place, self.moment)
+        rows, hits = find_moving(self.still, self.lighting, pixels[near], far[near], self.place, self.time_index)
         if len(rows):
-            start, way = self.still.view.rays(pixels[near[rows]], *self.place)
-            begin = np.broadcast_to(start, way.shape).astype(np.float32)
+            start, direction = self.still.view.rays(pixels[near[rows]], *self.place)
+            begin = np.broadcast_to(start, direction.shape).astype(np.float32)
             light = light.copy()
-            light[near[rows]] = displayed(moving_light(self.lighting, hits, begin, way, self.moment, self.sunspot))
+            light[near[rows]] = displayed(moving_light(self.lighting, hits, begin, direction, self.time_index, self.sunspot))
         return light
 
 
 def _unsettled(still: Stage, first: First) -> Rows:
     """Return pixels where surfaces meet, something moves, or a moving thing differs from its neighbour pixels."""
     high, wide = still.view.height, still.view.width
-    found = first.swept.copy().reshape(high, wide)
+    unsettled = first.swept.copy().reshape(high, wide)
     front = first.front.reshape(high, wide)
-    shown = np.sqrt(first.light @ np.array([0.3, 0.6, 0.1], np.float32)).reshape(high, wide)
-    for here, there in ((np.s_[:, :-1], np.s_[:, 1:]), (np.s_[:-1], np.s_[1:])):
-        step = (front[here] | front[there]) & (np.abs(shown[here] - shown[there]) > _SEEN)
-        step |= front[here] != front[there]
-        found[here] |= step
-        found[there] |= step
-    found.reshape(-1)[still.edges] = True
-    return np.flatnonzero(found)
+    brightness = np.sqrt(first.light @ np.array([0.3, 0.6, 0.1], np.float32)).reshape(high, wide)
+    for one_side, other_side in ((np.s_[:, :-1], np.s_[:, 1:]), (np.s_[:-1], np.s_[1:])):
+        step = (front[one_side] | front[other_side]) & (
+            np.abs(brightness[one_side] - brightness[other_side]) > _VISIBLE_DIFFERENCE
+        )
+        step |= front[one_side] != front[other_side]
+        unsettled[one_side] |= step
+        unsettled[other_side] |= step
+    unsettled.reshape(-1)[still.edges] = True
+    return np.flatnonzero(unsettled)

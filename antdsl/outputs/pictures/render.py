@@ -25,11 +25,11 @@ from antdsl.outputs.pictures.trails import Dyes
 Array = NDArray[np.float64]
 Image = NDArray[np.uint8]
 
-SHOWN = ("trail", "flow", "feelers", "velocity", "paths", "ids")
+DISPLAY_OPTIONS = ("trail", "flow", "feelers", "velocity", "paths", "ids")
 
 
 @dataclass(slots=True)
-class _Kept:
+class _CameraCache:
     """Samples of static things for one camera, and the colours of fields on them."""
 
     stage: Stage
@@ -64,52 +64,56 @@ class Renderer:
         self.width, self.height, self.samples = width, height, samples
         self.threads, self.least, self.enlarged, self.marks, self.blur = max(1, threads), least, enlarged, marks, blur
         self._settings: list[tuple[tuple[int, ...], Setting, tuple[object, ...]]] = []
-        self._kept: dict[tuple[object, ...], _Kept] = {}
+        self._kept: dict[tuple[object, ...], _CameraCache] = {}
 
     def draw(self, picture: Picture, camera: Camera, *, show: Iterable[str] = ("trail",)) -> Image:
         """The picture as bytes (height, width, 3), sRGB. `show`: any of SHOWN. Raises ValueError for another word."""
-        wanted = tuple(show)
-        wrong = [word for word in wanted if word not in SHOWN]
+        options = tuple(show)
+        wrong = [word for word in options if word not in DISPLAY_OPTIONS]
         if wrong:
-            raise ValueError(f"cannot show `{wrong[0]}`: there are {', '.join(SHOWN)}")
+            raise ValueError(f"cannot show `{wrong[0]}`: there are {', '.join(DISPLAY_OPTIONS)}")
         up = np.asarray(picture.up, np.float64) / np.linalg.norm(picture.up)
         sun = sun_over(up)
-        seen = view(camera, self.width, self.height, picture.up)
+        camera_view = view(camera, self.width, self.height, picture.up)
         still = self._setting(picture, up)
         scales = Scales(still.extent, _grain(picture, still.extent))
-        kept = self._stage(picture, camera, still, seen, sun, scales)
+        camera_cache = self._stage(picture, camera, still, camera_view, sun, scales)
         bodied = picture if self.marks <= 0 else replace(picture, crowds=())
-        cast = actors(bodied, seen, self.least, still, self.blur, self.enlarged)
-        kept.dyes.wet(picture.trails if "trail" in wanted else ())
-        image = self._light(kept, cast, Lighting(cast, still.rays, sun, scales, seen, self.threads))
-        return draw_overlay(image, picture, seen, kept.stage.middle.far.reshape(self.height, self.width), wanted, self.marks)
+        cast = actors(bodied, camera_view, self.least, still, self.blur, self.enlarged)
+        camera_cache.dyes.wet(picture.trails if "trail" in options else ())
+        image = self._light(camera_cache, cast, Lighting(cast, still.rays, sun, scales, camera_view, self.threads))
+        return draw_overlay(
+            image, picture, camera_view, camera_cache.stage.middle.far.reshape(self.height, self.width), options, self.marks
+        )
 
     def _setting(self, picture: Picture, up: Array) -> Setting:
         """Return the ray scene of the solids. It is cached with the solids themselves, so that no other solid gets their ids."""
         key = tuple(id(solid.vertices) for solid in picture.solids) + tuple(hash(float(v)) for v in up)
-        for known, made, _ in self._settings:
+        for known, still_setting, _ in self._settings:
             if known == key:
-                return made
-        made = setting(picture.solids, up)
-        self._settings = [*self._settings[-1:], (key, made, picture.solids)]
-        return made
+                return still_setting
+        still_setting = setting(picture.solids, up)
+        self._settings = [*self._settings[-1:], (key, still_setting, picture.solids)]
+        return still_setting
 
-    def _stage(self, picture: Picture, camera: Camera, still: Setting, seen: View, sun: Sun, scales: Scales) -> _Kept:
+    def _stage(
+        self, picture: Picture, camera: Camera, still: Setting, camera_view: View, sun: Sun, scales: Scales
+    ) -> _CameraCache:
         key = (id(still), camera, picture.up, scales)
         if key not in self._kept:
-            made = stage(still, seen, sun, scales, self.threads)
+            new_stage = stage(still, camera_view, sun, scales, self.threads)
             # Two cameras in turn (from above, at eye level) keep what they saw.
             self._kept = dict([*self._kept.items()][-1:])
-            self._kept[key] = _Kept(made, Dyes(made.middle))
+            self._kept[key] = _CameraCache(new_stage, Dyes(new_stage.middle))
         else:
             self._kept[key].stage.stays = True
         return self._kept[key]
 
-    def _light(self, kept: _Kept, cast: Actors, lighting: Lighting) -> Image:
-        still = kept.stage
-        first = middles(still, lighting, kept.dyes)
+    def _light(self, camera_cache: _CameraCache, cast: Actors, lighting: Lighting) -> Image:
+        still = camera_cache.stage
+        first = middles(still, lighting, camera_cache.dyes)
         most = 2 * self.samples**2 * (2 if len(cast.rays) > 1 else 1) if self.samples > 1 else 1
-        light = refined(still, lighting, kept.dyes, first, most)
+        light = refined(still, lighting, camera_cache.dyes, first, most)
         return encoded(light.reshape(self.height, self.width, 3))
 
 

@@ -88,8 +88,8 @@ def setting(solids: tuple[Solid, ...], up: Array) -> Setting:
 def with_litter(still: Setting, view: View, scales: Scales) -> Setting:
     """Return the setting with pebbles on its grounds where `view` is near enough to show them, else unchanged."""
     up = still.up.astype(np.float64)
-    made = [litter(part.vertices, part.faces, up, view, scales) for part in still.parts if part.kind == looks.GROUND]
-    grains = [Part(points, faces, looks.GRAIN) for points, faces in filter(None, made)]
+    pebbles = [litter(part.vertices, part.faces, up, view, scales) for part in still.parts if part.kind == looks.GROUND]
+    grains = [Part(points, faces, looks.GRAIN) for points, faces in filter(None, pebbles)]
     return _assembled(still.parts + tuple(grains), still.middle, still.extent, still.base, up) if grains else still
 
 
@@ -141,8 +141,8 @@ def _table(middle: Array, up: Array, base: float, reach: float) -> Part:
 @cache
 def _shapes(detail: int) -> tuple[Array, NDArray[np.int32]]:
     """Unit pebbles (k, n, 3) that share their faces."""
-    made = [stone(70 + k, (1.0, 0.62, 0.8), detail=detail, roughness=0.2) for k in range(_SHAPES)]
-    return np.stack([vertices for vertices, _ in made]), made[0][1]
+    stones = [stone(70 + k, (1.0, 0.62, 0.8), detail=detail, roughness=0.2) for k in range(_SHAPES)]
+    return np.stack([vertices for vertices, _ in stones]), stones[0][1]
 
 
 def litter(

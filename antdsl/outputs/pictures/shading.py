@@ -33,24 +33,24 @@ class Lighting:
     threads: int
 
 
-def still_light(lighting: Lighting, seen: Samples, own: slice, albedo: Floats, visible: Floats, opened: Floats) -> Floats:
+def still_light(lighting: Lighting, samples: Samples, own: slice, albedo: Floats, visible: Floats, opened: Floats) -> Floats:
     """Return light (n, 3) of some samples of static things. The sun reaches them by the share `visible` (n,), the sky by `opened`
     (n,)."""
     sun, extent = lighting.sun, lighting.scales.extent
-    far, way = seen.far[own], seen.way[own]
-    direct = seen.sun[own] * visible
-    light = ambient(seen.upness[own]) * opened[:, None] + direct[:, None] * SUN
-    light += lamp(seen.facing[own], direct, opened)
+    far, direction = samples.far[own], samples.direction[own]
+    direct = samples.sun[own] * visible
+    light = ambient(samples.upness[own]) * opened[:, None] + direct[:, None] * SUN
+    light += lamp(samples.facing[own], direct, opened)
     light *= albedo
-    light += seen.glow[own] * (0.25 + 0.75 * opened)[:, None]
-    light = hazed(light, far, way, sun, _AIR * extent)
-    table = np.flatnonzero(seen.kind[own] == looks.TABLE)
+    light += samples.glow[own] * (0.25 + 0.75 * opened)[:, None]
+    light = hazed(light, far, direction, sun, _AIR * extent)
+    table = np.flatnonzero(samples.kind[own] == looks.TABLE)
     if len(table):  # lost in haze sooner, so that its end is never seen
         fade = 1 - np.exp(-np.square(far[table] / np.float32(_FLOOR * extent)))
-        level = way[table] - (way[table] @ sun.up)[:, None] * sun.up
+        level = direction[table] - (direction[table] @ sun.up)[:, None] * sun.up
         light[table] += (sky(level, sun) - light[table]) * fade[:, None]
     empty = np.flatnonzero(~np.isfinite(far))
-    light[empty] = sky(way[empty], sun)
+    light[empty] = sky(direction[empty], sun)
     return light
 
 
@@ -61,20 +61,20 @@ def lamp(facing: Floats, direct: Floats, opened: Floats) -> Floats:
     return np.asarray(LAMP * (dark * (0.25 + 0.75 * np.clip(facing, 0, 1)))[:, None])
 
 
-def shadowed(lighting: Lighting, seen: Samples, moment: int, spot: Floats) -> Floats:
+def shadowed(lighting: Lighting, samples: Samples, time_index: int, spot: Floats) -> Floats:
     """Return 1 (n,) where no moving thing is between a sample and a point on the sun's disc at a moment, else 0."""
-    visible = np.ones(len(seen), np.float32)
+    visible = np.ones(len(samples), np.float32)
     if lighting.cast.size > 0:
-        lit = np.flatnonzero(seen.sun > 0)
-        start = seen.point[lit] + seen.normal[lit] * np.float32(_LIFT * lighting.scales.extent)
+        lit = np.flatnonzero(samples.sun > 0)
+        start = samples.point[lit] + samples.normal[lit] * np.float32(_LIFT * lighting.scales.extent)
         aim = np.broadcast_to(spot, start.shape)
-        cast = lighting.cast.rays[moment]
+        cast = lighting.cast.rays[time_index]
         visible[lit[cast.occluded(start, aim, lighting.cast.tall, lighting.threads)]] = 0
     return visible
 
 
-def moving_light(lighting: Lighting, hits: Sights, start: Floats, way: Floats, moment: int, spot: Floats) -> Floats:
-    """Return light (n, 3) along rays from `start` in direction `way` (n, 3) that hit a moving thing.
+def moving_light(lighting: Lighting, hits: Sights, start: Floats, direction: Floats, time_index: int, spot: Floats) -> Floats:
+    """Return light (n, 3) along rays from `start` in direction `direction` (n, 3) that hit a moving thing.
 
     The material is a matt body with a coat that reflects sky, ground and sun; metal, which reflects more; or a light source."""
     mesh, sun = lighting.cast.mesh, lighting.sun
@@ -83,7 +83,7 @@ def moving_light(lighting: Lighting, hits: Sights, start: Floats, way: Floats, m
     normal *= np.where(dots(normal, hits.normal) < 0, np.float32(-1), np.float32(1))[:, None]
     colour = blended(mesh.colour, corners, hits.u, hits.v)
     gloss = mesh.gloss[corners[:, 0]]
-    where: Floats = start + hits.t[:, None] * way
+    where: Floats = start + hits.t[:, None] * direction
     where += hits.normal * np.float32(_LIFT * lighting.scales.extent)
     soil = np.flatnonzero(gloss == 0)
     if len(soil):
@@ -92,9 +92,9 @@ def moving_light(lighting: Lighting, hits: Sights, start: Floats, way: Floats, m
         colour[soil], normal[soil] = look.albedo, look.normal
     facing = np.clip(normal @ sun.towards, 0, 1)
     facing *= np.clip((hits.normal @ sun.towards) * 6 + 0.6, 0, 1)
-    _hide(lighting, facing, where, moment, spot)
+    _hide(lighting, facing, where, time_index, spot)
     upness = normal @ sun.up
-    half = units(spot - way)
+    half = units(spot - direction)
     shine = (
         gloss * (0.5 * np.clip(dots(normal, half), 0, 1) ** 60 + 0.12 * np.clip(dots(normal, half), 0, 1) ** 12) * (facing > 0)
     )
@@ -102,22 +102,22 @@ def moving_light(lighting: Lighting, hits: Sights, start: Floats, way: Floats, m
     near = 0.42 + 0.58 * np.clip(0.55 + 0.75 * upness, 0, 1)
     metal = gloss > 1
     light: Floats = colour * (facing[:, None] * SUN + ambient(upness) * near[:, None])
-    coat = looks.schlick(normal, way, 0.04) * gloss
-    coat[metal] = looks.schlick(normal[metal], way[metal], 0.8)
+    coat = looks.schlick(normal, direction, 0.04) * gloss
+    coat[metal] = looks.schlick(normal[metal], direction[metal], 0.8)
     tint = np.where(metal[:, None], looks.STEEL, np.float32(1))
     light *= np.where(metal, np.float32(0.3), np.float32(1))[:, None]
-    light += looks.mirrored(normal, way, sun) * (coat * near)[:, None] * tint
+    light += looks.mirrored(normal, direction, sun) * (coat * near)[:, None] * tint
     light += shine[:, None] * SUN
     light[gloss < 0] = looks.LIT * looks.BRIGHT
-    return hazed(light, hits.t, way, sun, _AIR * lighting.scales.extent)
+    return hazed(light, hits.t, direction, sun, _AIR * lighting.scales.extent)
 
 
-def _hide(lighting: Lighting, facing: Floats, where: Floats, moment: int, spot: Floats) -> None:
+def _hide(lighting: Lighting, facing: Floats, where: Floats, time_index: int, spot: Floats) -> None:
     """Remove the sun from points (n, 3) where something hides it."""
     cast, threads = lighting.cast, lighting.threads
     lit = np.flatnonzero(facing > 0)
     aim = np.broadcast_to(spot, (len(lit), 3))
-    hidden = cast.rays[moment].occluded(where[lit], aim, cast.tall, threads)
+    hidden = cast.rays[time_index].occluded(where[lit], aim, cast.tall, threads)
     open_to = np.flatnonzero(~hidden)
     hidden[open_to] = lighting.ground.occluded(where[lit[open_to]], aim[open_to], threads=threads)
     facing[lit[hidden]] = 0

@@ -38,10 +38,10 @@ class Grid:
         """Every second pixel of every second row."""
         high, wide = self.view.height, self.view.width
         taken = (np.arange(0, high, 2)[:, None] * wide + np.arange(0, wide, 2)).reshape(-1)
-        edge = self._about(1)[::2, ::2].reshape(-1)
+        edge = self._near_edge_mask(1)[::2, ::2].reshape(-1)
         return Grid(_smaller(self.view), self.point[taken], self.normal[taken], self.solid[taken], edge, self.hair)
 
-    def _about(self, reach: int) -> NDArray[np.bool_]:
+    def _near_edge_mask(self, reach: int) -> NDArray[np.bool_]:
         """Pixels (h, w) with an edge, or the sky, within `reach` pixels."""
         from scipy.ndimage import maximum_filter
 
@@ -50,7 +50,7 @@ class Grid:
 
     def broken(self, pixels: NDArray[np.int64], reach: int) -> NDArray[np.bool_]:
         """Which pixels (n,) are near an edge."""
-        return np.asarray(self._about(reach).reshape(-1)[pixels])
+        return np.asarray(self._near_edge_mask(reach).reshape(-1)[pixels])
 
 
 def _smaller(view: View) -> View:
@@ -73,42 +73,44 @@ def sunlit(
     `within` (h · w,): the pixels that may be occluded; others are not."""
     high, wide = grid.view.height, grid.view.width
     lit = grid.solid & (facing > 0)
-    asked = np.flatnonzero(lit if within is None else lit & within)
+    pixels = np.flatnonzero(lit if within is None else lit & within)
     share = np.ones(high * wide, np.float32)
-    if not len(asked):
+    if not len(pixels):
         return share
-    row, column = np.divmod(asked, wide)
+    row, column = np.divmod(pixels, wide)
     spots = sun.spots(16)[_ORDER]
     hidden = np.zeros(high * wide, np.bool_)
     number = (row % 4) * 4 + column % 4
     for turn, cast in enumerate(casts):
         own = slice(None) if len(casts) == 1 else np.flatnonzero(_ORDER[number] % len(casts) == turn)
-        hidden[asked[own]] = _met(grid, asked[own], spots[number[own]], cast, far, threads)
+        hidden[pixels[own]] = _find_occluded(grid, pixels[own], spots[number[own]], cast, far, threads)
     share[hidden] = 0
-    mixed = asked[_mixed(hidden.reshape(high, wide)).reshape(-1)[asked]]
+    mixed = pixels[_mixed(hidden.reshape(high, wide)).reshape(-1)[pixels]]
     if not len(mixed):
         return share
     row, column = np.divmod(mixed, wide)
     block = (row % 2) * 2 + column % 2
     spots = sun.spots(4 * _FINE)
-    met = np.zeros(len(mixed), np.float32)
+    occlusion = np.zeros(len(mixed), np.float32)
     for k in range(_FINE):
-        met += _met(grid, mixed, spots[4 * k + (block + k) % 4], casts[k % len(casts)], far, threads)
-    share[mixed] = 1 - met / _FINE
+        occlusion += _find_occluded(grid, mixed, spots[4 * k + (block + k) % 4], casts[k % len(casts)], far, threads)
+    share[mixed] = 1 - occlusion / _FINE
     share[mixed] = _filtered(share.reshape(high, wide), mixed, grid, _NARROW_TAPS, facing > 0)
     return share
 
 
-def _met(grid: Grid, pixels: NDArray[np.int64], way: Floats, cast: PictureRays, far: float, threads: int) -> NDArray[np.bool_]:
-    met = np.zeros(len(pixels), np.bool_)
+def _find_occluded(
+    grid: Grid, pixels: NDArray[np.int64], directions: Floats, cast: PictureRays, far: float, threads: int
+) -> NDArray[np.bool_]:
+    occluded = np.zeros(len(pixels), np.bool_)
 
     def fill(own: slice) -> None:
-        here = pixels[own]
-        start = grid.point[here] + grid.normal[here] * np.float32(grid.hair)
-        met[own] = cast.occluded(start, way[own], far, threads)
+        own_pixels = pixels[own]
+        start = grid.point[own_pixels] + grid.normal[own_pixels] * np.float32(grid.hair)
+        occluded[own] = cast.occluded(start, directions[own], far, threads)
 
     each(fill, pieces(len(pixels)), threads)
-    return met
+    return occluded
 
 
 def _mixed(hidden: NDArray[np.bool_]) -> NDArray[np.bool_]:
@@ -146,13 +148,13 @@ def _along(values: Floats, pixels: NDArray[np.int64], grid: Grid, taps: Floats, 
         for right in range(-reach, reach + 1):
             there_row, there_column = row + down, column + right
             inside = (there_row >= 0) & (there_row < high) & (there_column >= 0) & (there_column < wide)
-            there = np.where(inside, there_row * wide + there_column, pixels)
-            share = np.float32(taps[down + reach] * taps[right + reach]) * (inside & grid.solid[there])
+            neighbour = np.where(inside, there_row * wide + there_column, pixels)
+            share = np.float32(taps[down + reach] * taps[right + reach]) * (inside & grid.solid[neighbour])
             if down or right:
-                share *= _goes_on(grid, there, point, normal, allowed)
+                share *= _goes_on(grid, neighbour, point, normal, allowed)
                 if counted is not None:
-                    share *= counted[there]
-            total += share * values.reshape(-1)[there]
+                    share *= counted[neighbour]
+            total += share * values.reshape(-1)[neighbour]
             weight += share
     return total / weight
 
@@ -163,9 +165,9 @@ def _allowed(grid: Grid, point: Floats) -> Floats:
     return np.asarray(6 * grid.view.pixel_at(depth), np.float32)
 
 
-def _goes_on(grid: Grid, there: NDArray[np.int64], point: Floats, normal: Floats, allowed: Floats) -> NDArray[np.bool_]:
-    alike = dots(normal, grid.normal[there]) > _ALIKE
-    alike &= np.abs(dots(grid.point[there] - point, normal)) < allowed
+def _goes_on(grid: Grid, neighbour: NDArray[np.int64], point: Floats, normal: Floats, allowed: Floats) -> NDArray[np.bool_]:
+    alike = dots(normal, grid.normal[neighbour]) > _ALIKE
+    alike &= np.abs(dots(grid.point[neighbour] - point, normal)) < allowed
     return np.asarray(alike)
 
 
@@ -178,8 +180,8 @@ def open_share(
     w,): the pixels that may have something near; others do not."""
     high, wide = grid.view.height, grid.view.width
     small = grid.halved()
-    some = None if within is None else within.reshape(high, wide)[::2, ::2].reshape(-1)
-    pixels = np.flatnonzero(small.solid if some is None else small.solid & some)
+    small_mask = None if within is None else within.reshape(high, wide)[::2, ::2].reshape(-1)
+    pixels = np.flatnonzero(small.solid if small_mask is None else small.solid & small_mask)
     shade = np.ones(len(small.solid), np.float32)
     if not len(pixels):
         return np.ones(high * wide, np.float32)
@@ -196,17 +198,17 @@ def _opened(
     opened = np.empty(len(pixels), np.float32)
 
     def fill(own: slice) -> None:
-        here = pixels[own]
-        normal = grid.normal[here]
-        start = grid.point[here] + normal * np.float32(grid.hair)
+        own_pixels = pixels[own]
+        normal = grid.normal[own_pixels]
+        start = grid.point[own_pixels] + normal * np.float32(grid.hair)
         side, other = _across(normal)
-        met = np.zeros(len(here), np.float32)
+        occlusion = np.zeros(len(own_pixels), np.float32)
         for ray in range(count):
             aim = directions[ray * 16 + pick[own]]
             towards = side * aim[:, :1] + other * aim[:, 1:2] + normal * aim[:, 2:3]
             length = reach * ((ray + 0.6) / count) ** 1.5  # near things shade more than far ones
-            met += rays.occluded(start, towards, length, threads)
-        opened[own] = 1 - met / count
+            occlusion += rays.occluded(start, towards, length, threads)
+        opened[own] = 1 - occlusion / count
 
     each(fill, pieces(len(pixels)), threads)
     return opened
@@ -219,12 +221,12 @@ def _filled(
     high, wide = grid.view.height, grid.view.width
     full = _between(shade.reshape(small.view.height, small.view.width), high, wide)
     full[~grid.solid] = 1
-    wanted = np.flatnonzero(grid.solid if within is None else grid.solid & within)
-    wanted = wanted[grid.broken(wanted, 2)]
+    targets = np.flatnonzero(grid.solid if within is None else grid.solid & within)
+    targets = targets[grid.broken(targets, 2)]
     lonely: list[NDArray[np.int64]] = []
 
     def fill(own: slice) -> None:
-        pixels = wanted[own]
+        pixels = targets[own]
         row, column = np.divmod(pixels, wide)
         point, normal = grid.point[pixels], grid.normal[pixels]
         allowed = 2 * _allowed(grid, point)
@@ -233,14 +235,14 @@ def _filled(
             for right in (0, 1):
                 there_row = np.minimum(row // 2 + down * (row % 2), small.view.height - 1)
                 there_column = np.minimum(column // 2 + right * (column % 2), small.view.width - 1)
-                there = there_row * small.view.width + there_column
-                share = (small.solid[there] & _goes_on(small, there, point, normal, allowed)).astype(np.float32)
-                total += share * shade[there]
+                neighbour = there_row * small.view.width + there_column
+                share = (small.solid[neighbour] & _goes_on(small, neighbour, point, normal, allowed)).astype(np.float32)
+                total += share * shade[neighbour]
                 weight += share
         full[pixels] = total / np.maximum(weight, 1e-9)
         lonely.append(pixels[weight == 0])
 
-    each(fill, pieces(len(wanted)), threads)
+    each(fill, pieces(len(targets)), threads)
     alone = np.sort(np.concatenate(lonely)) if lonely else np.zeros(0, np.int64)
     if len(alone):
         full[alone] = _opened(grid, alone, np.zeros(len(alone), np.int64), rays, reach, 16, threads)

@@ -23,12 +23,12 @@ _STEP = 4.0  # pixels' widths off its plane from which on a neighbour lies behin
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Samples:
-    """n samples of static objects. `pixel` int64; unit `way` (n, 3) and distance `far` of each ray (inf: sky); `point`, smooth
-    `normal` and `albedo` (n, 3). `sun`: the cosine of its height over the surface, 0 in shadow. `upness` and `facing`: cosines of
-    the normal with up and with the direction back. `kind`; emitted light `glow` (n, 3), where any."""
+    """n samples of static objects. `pixel` int64; unit `direction` (n, 3) and distance `far` of each ray (inf: sky); `point`,
+    smooth `normal` and `albedo` (n, 3). `sun`: the cosine of its height over the surface, 0 in shadow. `upness` and `facing`:
+    cosines of the normal with up and with the direction back. `kind`; emitted light `glow` (n, 3), where any."""
 
     pixel: NDArray[np.int64]
-    way: Floats
+    direction: Floats
     far: Floats
     point: Floats
     normal: Floats
@@ -70,20 +70,20 @@ class Stage:
     def sampled(self, number: int, count: int, threads: int) -> Samples:
         """Sample `number` of `count` of all pixels at edges."""
         key = (number, count)
-        made = self.fine.get(key) or self.look(self.edges, number, count, threads)
+        sample_set = self.fine.get(key) or self.look(self.edges, number, count, threads)
         if self.stays and key not in self.fine:
-            self.fine = {known: samples for known, samples in self.fine.items() if known[1] == count} | {key: made}
-        return made
+            self.fine = {known: samples for known, samples in self.fine.items() if known[1] == count} | {key: sample_set}
+        return sample_set
 
     def look(self, pixels: NDArray[np.int64], number: int, count: int, threads: int) -> Samples:
         """Return sample `number` of `count` of some pixels, with a separate ray to the sun."""
         across, down = spot(number, count)
-        made = _looked(self.setting, self.view, pixels, (across, down), self.sun, self.scales, threads)
-        lit = np.flatnonzero(made.sun > 0)
-        start = made.point[lit] + made.normal[lit] * np.float32(self.grid.hair)
+        samples = _looked(self.setting, self.view, pixels, (across, down), self.sun, self.scales, threads)
+        lit = np.flatnonzero(samples.sun > 0)
+        start = samples.point[lit] + samples.normal[lit] * np.float32(self.grid.hair)
         aim = np.broadcast_to(self.sun.spots(count)[number], start.shape)
-        made.sun[lit[self.setting.rays.occluded(start, aim, threads=threads)]] = 0
-        return made
+        samples.sun[lit[self.setting.rays.occluded(start, aim, threads=threads)]] = 0
+        return samples
 
 
 def spot(number: int, count: int) -> tuple[float, float]:
@@ -110,43 +110,43 @@ def _looked(
     """Return samples of `pixels` at one position in each, before shadows."""
     n = len(pixels)
     three = [np.zeros((n, 3), np.float32) for _ in range(5)]
-    way, point, normal, albedo, glow = three
+    direction, point, normal, albedo, glow = three
     far, light, upness, facing = (np.zeros(n, np.float32) for _ in range(4))
     kind = np.zeros(n, np.uint8)
 
     def fill(own: slice) -> None:
         start, towards = view.rays(pixels[own], *place)
         hits = setting.rays.cast(start, towards, threads)
-        way[own], far[own] = towards, hits.t
-        seen = np.flatnonzero(hits.face >= 0)
-        first = own.start + seen
-        begin = start if start.ndim == 1 else start[seen]
-        where: Floats = begin.astype(np.float32) + hits.t[seen, None] * towards[seen]
-        look, smooth = _surfaces(setting, view, hits, towards[seen], where, seen, scales)
+        direction[own], far[own] = towards, hits.t
+        hit_rows = np.flatnonzero(hits.face >= 0)
+        first = own.start + hit_rows
+        begin = start if start.ndim == 1 else start[hit_rows]
+        where: Floats = begin.astype(np.float32) + hits.t[hit_rows, None] * towards[hit_rows]
+        look, smooth = _surfaces(setting, view, hits, towards[hit_rows], where, hit_rows, scales)
         point[first], normal[first], albedo[first] = where, smooth, look.albedo
-        upness[first], facing[first] = look.normal @ sun.up, -dots(look.normal, towards[seen])
-        kind[first] = setting.kind[hits.face[seen]]
-        glow[first] = looks.glow(kind[first], look, towards[seen], sun)
+        upness[first], facing[first] = look.normal @ sun.up, -dots(look.normal, towards[hit_rows])
+        kind[first] = setting.kind[hits.face[hit_rows]]
+        glow[first] = looks.glow(kind[first], look, towards[hit_rows], sun)
         # A coarse mesh shades its own smooth slopes in steps just where the light grazes: faded out there.
         grazing = np.clip((smooth @ sun.towards) * 7, 0, 1)
         light[first] = np.clip(look.normal @ sun.towards, 0, 1) * grazing
 
     each(fill, pieces(n), threads)
-    return Samples(pixels, way, far, point, normal, albedo, light, upness, facing, kind, glow)
+    return Samples(pixels, direction, far, point, normal, albedo, light, upness, facing, kind, glow)
 
 
 def _surfaces(
-    setting: Setting, view: View, hits: Sights, way: Floats, where: Floats, seen: NDArray[np.int64], scales: Scales
+    setting: Setting, view: View, hits: Sights, direction: Floats, where: Floats, hit_rows: NDArray[np.int64], scales: Scales
 ) -> tuple[looks.Surface, Floats]:
     """The look of the samples that meet something, and the smooth normal without grain."""
-    face = hits.face[seen]
+    face = hits.face[hit_rows]
     corners = setting.faces[face]
-    flat, u, v = hits.normal[seen], hits.u[seen], hits.v[seen]
+    flat, u, v = hits.normal[hit_rows], hits.u[hit_rows], hits.v[hit_rows]
     smooth = units(blended(setting.normal, corners, u, v))
     smooth *= np.where(dots(smooth, flat) < 0, np.float32(-1), np.float32(1))[:, None]
-    pixel = np.asarray(view.pixel_at(hits.t[seen]), np.float32) * np.float32(0.6)
+    pixel = np.asarray(view.pixel_at(hits.t[hit_rows]), np.float32) * np.float32(0.6)
     # Seen along the ground a pixel covers more of it.
-    pixel /= np.sqrt(np.clip(-dots(flat, way), 0.04, 1.0))
+    pixel /= np.sqrt(np.clip(-dots(flat, direction), 0.04, 1.0))
     painted = blended(setting.painted, corners, u, v)
     look = surface(setting.kind[face], where, smooth.copy(), setting.up, pixel, scales, painted)
     return look, np.where((dots(smooth, flat) > 0.1)[:, None], smooth, flat)
@@ -155,17 +155,17 @@ def _surfaces(
 def _edges(view: View, middle: Samples, solid: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """Return whether another surface begins next to a pixel (h · w,), on either side."""
     high, wide = view.height, view.width
-    found = np.zeros((high, wide), np.bool_)
+    edges = np.zeros((high, wide), np.bool_)
     normal, point = middle.normal.reshape(high, wide, 3), middle.point.reshape(high, wide, 3)
     kind = np.where(solid, middle.kind, 255).reshape(high, wide)
     width = np.asarray(view.pixel_at(np.where(solid, middle.far, 0)), np.float32).reshape(high, wide) * _STEP
-    for here, there in ((np.s_[:, :-1], np.s_[:, 1:]), (np.s_[:-1], np.s_[1:])):
-        apart = np.einsum("abc,abc->ab", normal[here], normal[there]) < _TURNED
-        gap = point[there] - point[here]
-        off = [np.abs(np.einsum("abc,abc->ab", gap, normal[side])) for side in (here, there)]
-        apart |= np.minimum(*off) > np.minimum(width[here], width[there])
-        apart |= kind[here] != kind[there]
-        apart &= (kind[here] != 255) | (kind[there] != 255)
-        found[here] |= apart
-        found[there] |= apart
-    return found.reshape(-1)
+    for one_side, other_side in ((np.s_[:, :-1], np.s_[:, 1:]), (np.s_[:-1], np.s_[1:])):
+        is_edge = np.einsum("abc,abc->ab", normal[one_side], normal[other_side]) < _TURNED
+        gap = point[other_side] - point[one_side]
+        off = [np.abs(np.einsum("abc,abc->ab", gap, normal[side])) for side in (one_side, other_side)]
+        is_edge |= np.minimum(*off) > np.minimum(width[one_side], width[other_side])
+        is_edge |= kind[one_side] != kind[other_side]
+        is_edge &= (kind[one_side] != 255) | (kind[other_side] != 255)
+        edges[one_side] |= is_edge
+        edges[other_side] |= is_edge
+    return edges.reshape(-1)

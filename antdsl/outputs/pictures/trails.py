@@ -41,9 +41,9 @@ class TrailCloth:
     def share(self, points: Floats) -> Floats:
         """Return the share of the ground (n,) that the trail covers at points (n, 3), 0..1; near cells have more weight."""
         scaled = (points - self.low.astype(np.float32)) * np.float32(1 / self.cell) - np.float32(0.5)
-        whole = np.clip(np.floor(scaled), 0, np.asarray(self.shape, np.float32) - 2)
-        part = np.clip(scaled - whole, 0, 1)
-        cell = whole.astype(np.int32)
+        corner = np.clip(np.floor(scaled), 0, np.asarray(self.shape, np.float32) - 2)
+        part = np.clip(scaled - corner, 0, 1)
+        cell = corner.astype(np.int32)
         _, b, c = self.shape
         first = (cell[:, 0] * b + cell[:, 1]) * c + cell[:, 2]
         return self._between(self._scent, first, part) / np.maximum(self._between(self._weight, first, part), 1e-6)
@@ -78,17 +78,17 @@ class Dyes:
             cloth = self._cloths.setdefault((trail.name, trail.cell), TrailCloth(self._low, self._high, trail.cell))
             cloth.soak(trail)
 
-    def coloured(self, seen: Samples) -> Floats:
+    def coloured(self, samples: Samples) -> Floats:
         """Colours (n, 3) of samples with the trails on them."""
         if not self._trails:
-            return seen.albedo
-        rows = self._kept if seen is self._own else seen.trailed
-        colours, points = seen.albedo[rows], seen.point[rows]
+            return samples.albedo
+        rows = self._kept if samples is self._own else samples.trailed
+        colours, points = samples.albedo[rows], samples.point[rows]
         for trail in self._trails:
             cloth = self._cloths[trail.name, trail.cell]
             for own in pieces(len(rows)):
                 colours[own] = dyed(colours[own], cloth.share(points[own]), trail)
-        albedo = seen.albedo.copy()
+        albedo = samples.albedo.copy()
         albedo[rows] = colours
         return albedo
 
@@ -98,12 +98,12 @@ class _Spread:
 
     def __init__(self, position: Array, low: Array, cell: float, shape: tuple[int, ...]) -> None:
         scaled = (np.asarray(position, np.float64) - low) / cell - 0.5
-        whole = np.floor(scaled)
-        self.kept = np.flatnonzero(((whole >= 0) & (whole < np.asarray(shape) - 1)).all(axis=1))
-        part, whole = (scaled - whole)[self.kept], whole[self.kept].astype(np.int64)
+        corner = np.floor(scaled)
+        self.kept = np.flatnonzero(((corner >= 0) & (corner < np.asarray(shape) - 1)).all(axis=1))
+        part, corner = (scaled - corner)[self.kept], corner[self.kept].astype(np.int64)
         _, b, c = shape
         self.size = int(np.prod(shape))
-        self.first = (whole[:, 0] * b + whole[:, 1]) * c + whole[:, 2]
+        self.first = (corner[:, 0] * b + corner[:, 1]) * c + corner[:, 2]
         self.steps = [(i * b + j) * c + k for i in (0, 1) for j in (0, 1) for k in (0, 1)]
         sides = [np.stack([1 - part[:, axis], part[:, axis]]) for axis in range(3)]
         self.weights = [(sides[0][i] * sides[1][j] * sides[2][k]) for i in (0, 1) for j in (0, 1) for k in (0, 1)]

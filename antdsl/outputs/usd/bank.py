@@ -54,12 +54,12 @@ class Bank:
 
     def poses_of(self, agents: Agents) -> list[str]:
         """The paths of the poses that agents are in."""
-        found = [""] * len(agents.ids)
+        pose_paths = [""] * len(agents.ids)
         for rows, keys, which in self._keys(agents):
             paths = [self._pose(body, *played) for body, _, *played in keys]
             for row, kind in zip(rows.tolist(), which.tolist(), strict=True):
-                found[row] = paths[kind]
-        return found
+                pose_paths[row] = paths[kind]
+        return pose_paths
 
     def _keys(self, agents: Agents) -> Iterator[tuple[NDArray[np.intp], list[tuple[int, ...]], NDArray[np.intp]]]:
         """Yield for each worn body the rows of its agents, the distinct keys (body, state, clip of each machine), and each
@@ -69,8 +69,8 @@ class Bank:
             if crowd.worn is None:
                 continue
             speed = np.linalg.norm(agents.own_velocity[rows], axis=1) / np.maximum(agents.scale[rows], 1e-12)
-            whole, *on_parts = played(crowd.worn, crowd, speed)
-            columns = [state[rows], whole, *(on_parts if len(self.paths) < _MOST else ())]
+            body_codes, *on_parts = played(crowd.worn, crowd, speed)
+            columns = [state[rows], body_codes, *(on_parts if len(self.paths) < _MOST else ())]
             kinds, which = _kinds(np.stack(columns, axis=1).astype(np.int64))
             body = self._body(crowd.worn)
             yield rows, [(body, *kind) for kind in kinds.tolist()], which
@@ -127,8 +127,8 @@ class _Drawn:
         poses: Poses = self._drawn.body.poses(machines, 1)
         points, normals = (each[0] for each in self._drawn.body.shaped(poses))
         path = f"{self._path}/pose_{number:04d}"
-        made = mesh(self._stage, path, points, self._drawn.faces, normals, self._drawn.uvs)
-        self._looks.bind_faces(made, self._drawn.names, self._drawn.material)
+        usd_mesh = mesh(self._stage, path, points, self._drawn.faces, normals, self._drawn.uvs)
+        self._looks.bind_faces(usd_mesh, self._drawn.names, self._drawn.material)
         return path, float(np.linalg.norm(points, axis=1).max(initial=0.0))
 
 
@@ -152,22 +152,22 @@ def played(worn: PosedBody, crowd: Crowd, speed: NDArray[np.float64] | None) -> 
     added = np.array([each.add for each in bank_clips(worn)] + [False])  # over all others: left out
     steps = np.where(groups, _SAMPLES_OF_PARTS, SAMPLES)
     count = len(crowd.position)
-    whole, on_parts = np.full(count, 0, np.int64), []
+    body_codes, on_parts = np.full(count, 0, np.int64), []
     for machine in crowd.plays:
         fade = np.clip(machine.fade, 0.0, 1.0)
-        here, before = machine.weight * (1 - fade), machine.before_weight * fade
-        clip = np.where(here >= before, machine.clip, machine.before).astype(np.int64)
-        turns = np.where(here >= before, machine.turns, machine.before_turns).astype(np.float64)
-        clip = np.where((here + before >= 0.5) & (clip >= 0) & (clip <= len(worn.clips)), clip, -1)
+        weight, previous_weight = machine.weight * (1 - fade), machine.before_weight * fade
+        clip = np.where(weight >= previous_weight, machine.clip, machine.before).astype(np.int64)
+        turns = np.where(weight >= previous_weight, machine.turns, machine.before_turns).astype(np.float64)
+        clip = np.where((weight + previous_weight >= 0.5) & (clip >= 0) & (clip <= len(worn.clips)), clip, -1)
         clip = np.where(added[clip], -1, clip)
         code = np.where(clip >= 0, _code(clip, turns, loops, steps), 0)
-        whole = np.where((clip >= 0) & ~groups[clip], code, whole)
+        body_codes = np.where((clip >= 0) & ~groups[clip], code, body_codes)
         part = np.where(groups[clip], code, 0)
         if part.any():
             on_parts.append(part)
     if crowd.feet is not None and speed is not None and len(clips) > len(worn.clips) + 1:
-        whole = _going(worn, clips, whole, crowd.feet.phase.astype(np.float64), speed)
-    return [whole, *on_parts]
+        body_codes = _going(worn, clips, body_codes, crowd.feet.phase.astype(np.float64), speed)
+    return [body_codes, *on_parts]
 
 
 def _code(clip: NDArray[np.int64], turns: NDArray[np.float64], loops: Array, steps: Array) -> NDArray[np.int64]:
@@ -175,23 +175,27 @@ def _code(clip: NDArray[np.int64], turns: NDArray[np.float64], loops: Array, ste
     part = np.where(loops[clip], turns - np.floor(turns), np.clip(turns, 0.0, 1.0))
     step = np.rint(part * steps[clip]).astype(np.int64)
     step = np.where(loops[clip], step % steps[clip], step) * (SAMPLES // steps[clip])
-    found: NDArray[np.int64] = (clip + 1) * (SAMPLES + 1) + step
-    return found
+    codes: NDArray[np.int64] = (clip + 1) * (SAMPLES + 1) + step
+    return codes
 
 
 def _going(
-    worn: PosedBody, clips: list[Clip | None], whole: NDArray[np.int64], phase: NDArray[np.float64], speed: NDArray[np.float64]
+    worn: PosedBody,
+    clips: list[Clip | None],
+    body_codes: NDArray[np.int64],
+    phase: NDArray[np.float64],
+    speed: NDArray[np.float64],
 ) -> NDArray[np.int64]:
     """Return the clips of bodies, with a walking clip for bodies that move and play none."""
     first = len(worn.clips) + 1
     speeds = np.array([clip.stride / clip.duration / worn.definition.length for clip in clips[first:] if clip is not None])
-    clip = whole // (SAMPLES + 1) - 1
+    clip = body_codes // (SAMPLES + 1) - 1
     free = np.array([each is None or (each.stride == 0 and each.feet) for each in clips] + [True])
     goes = free[clip] & (speed > _STANDS) & np.isfinite(phase)
     nearest = np.abs(speeds - speed[:, None]).argmin(axis=1) + first
     step = np.rint((np.nan_to_num(phase) % 1.0) * SAMPLES).astype(np.int64) % SAMPLES
-    found: NDArray[np.int64] = np.where(goes, (nearest + 1) * (SAMPLES + 1) + step, whole)
-    return found
+    moving_codes: NDArray[np.int64] = np.where(goes, (nearest + 1) * (SAMPLES + 1) + step, body_codes)
+    return moving_codes
 
 
 def _kinds(table: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.intp]]:

@@ -52,7 +52,7 @@ def write_definition(stage: Any, path: str, body: PosedBody, looks: Looks, close
         if "blendshape" in binding.deformer and (blend := each.shaded.shapes[binding.shape].blend)
         for channel in blend.channels
     )
-    made = SkelDefinition(path, joints, tuple(channels))
+    skel_definition = SkelDefinition(path, joints, tuple(channels))
     rig = pxr("UsdGeom").Xform.Define(stage, f"{path}/rig")
     rig.AddTransformOp().Set(matrix(definition.base()))
     skeletons = _Skeletons(stage, f"{path}/rig", definition, joints)
@@ -61,36 +61,36 @@ def write_definition(stage: Any, path: str, body: PosedBody, looks: Looks, close
         names: set[str] = set()
         for binding in drawn[name]:
             shape = free(identifier(binding.shape), names)
-            _write_shape(stage, f"{path}/rig/{name}/{shape}", each.shaded, binding, skeletons, looks, made)
+            _write_shape(stage, f"{path}/rig/{name}/{shape}", each.shaded, binding, skeletons, looks, skel_definition)
     root.CreateExtentAttr(vectors(DrawnBody(body).extent()))
     if len(details) > 1:
         chosen = "close" if close else "crowd"
         _choices(root.GetPrim(), list(details), chosen)
-        made.tinted = [below for below in made.tinted if below.startswith(f"rig/{chosen}/")]
-    return made
+        skel_definition.tinted = [below for below in skel_definition.tinted if below.startswith(f"rig/{chosen}/")]
+    return skel_definition
 
 
 def _choices(prim: Any, names: list[str], chosen: str) -> None:
     """Add variants, each of which hides the others."""
-    found = prim.GetVariantSets().AddVariantSet("detail")
+    variants = prim.GetVariantSets().AddVariantSet("detail")
     for name in names:
-        found.AddVariant(name)
-        found.SetVariantSelection(name)
-        with found.GetVariantEditContext():
+        variants.AddVariant(name)
+        variants.SetVariantSelection(name)
+        with variants.GetVariantEditContext():
             for other in names:
                 if other != name:
                     prim.GetStage().OverridePrim(f"{prim.GetPath()}/rig/{other}").SetActive(False)
-    found.SetVariantSelection(chosen)
+    variants.SetVariantSelection(chosen)
 
 
 def joint_paths(definition: Definition) -> tuple[str, ...]:
     """Return the joints of a rig as paths from its roots, with names valid in USD; equal names get numbers."""
-    found: list[str] = []
+    paths: list[str] = []
     taken: set[str] = set()
     for name, parent in zip(definition.rig.names, definition.rig.parents.tolist(), strict=True):
-        above = f"{found[parent]}/" if parent >= 0 else ""
-        found.append(free(above + identifier(name), taken))
-    return tuple(found)
+        above = f"{paths[parent]}/" if parent >= 0 else ""
+        paths.append(free(above + identifier(name), taken))
+    return tuple(paths)
 
 
 def rest_world(definition: Definition) -> Array:
@@ -113,44 +113,50 @@ class _Skeletons:
         """Return the path of a skeleton with the bind pose of a shape; make it, or fill it in, if there is none yet."""
         capture = shape.capture
         numbers = [self._definition.rig.joint(name) for name in capture.names] if capture else []
-        wanted = np.linalg.inv(capture.inverse) if capture else np.zeros((0, 4, 4))
+        target = np.linalg.inv(capture.inverse) if capture else np.zeros((0, 4, 4))
         for path, bind, known, attribute in self._made:
-            apart = np.abs(bind[numbers] - wanted)[known[numbers]]
-            if apart.max(initial=0.0) <= _SAME * self._definition.length:
-                bind[numbers], known[numbers] = wanted, True
+            deviation = np.abs(bind[numbers] - target)[known[numbers]]
+            if deviation.max(initial=0.0) <= _SAME * self._definition.length:
+                bind[numbers], known[numbers] = target, True
                 attribute.Set(matrices(bind))
                 return path
         bind, known = self._rest.copy(), np.zeros(len(self._joints), np.bool_)
-        bind[numbers], known[numbers] = wanted, True
+        bind[numbers], known[numbers] = target, True
         number = len(self._made) + 1
         path = f"{self._path}/skeleton" + (f"_{number}" if number > 1 else "")
-        made = pxr("UsdSkel").Skeleton.Define(self._stage, path)
-        made.CreateJointsAttr(pxr("Vt").TokenArray(list(self._joints)))
-        made.CreateRestTransformsAttr(matrices(np.asarray(self._definition.rig.rest)))
-        self._made.append((path, bind, known, made.CreateBindTransformsAttr(matrices(bind))))
-        pxr("UsdSkel").BindingAPI.Apply(made.GetPrim())
+        skeleton = pxr("UsdSkel").Skeleton.Define(self._stage, path)
+        skeleton.CreateJointsAttr(pxr("Vt").TokenArray(list(self._joints)))
+        skeleton.CreateRestTransformsAttr(matrices(np.asarray(self._definition.rig.rest)))
+        self._made.append((path, bind, known, skeleton.CreateBindTransformsAttr(matrices(bind))))
+        pxr("UsdSkel").BindingAPI.Apply(skeleton.GetPrim())
         return path
 
     def bind_of(self, path: str, joint: int) -> Array:
         """Return the bind pose of a joint, which is fixed from then on."""
         _, bind, known, _ = next(each for each in self._made if each[0] == path)
         known[joint] = True
-        found: Array = bind[joint]
-        return found
+        pose: Array = bind[joint]
+        return pose
 
 
 def _write_shape(
-    stage: Any, path: str, definition: Definition, binding: Binding, skeletons: _Skeletons, looks: Looks, made: SkelDefinition
+    stage: Any,
+    path: str,
+    definition: Definition,
+    binding: Binding,
+    skeletons: _Skeletons,
+    looks: Looks,
+    skel_definition: SkelDefinition,
 ) -> None:
     shape = definition.shapes[binding.shape]
     drawn = mesh(stage, path, shape.points, shape.faces, shape.normals, shape.uvs)
     material = np.zeros(len(shape.faces), np.int64) if shape.material is None else shape.material
     if looks.bind_faces(drawn, shape.materials or ("",), material):
-        made.tinted.append(path.removeprefix(f"{made.path}/"))
+        skel_definition.tinted.append(path.removeprefix(f"{skel_definition.path}/"))
     api = pxr("UsdSkel").BindingAPI.Apply(drawn.GetPrim())
     steps = binding.deformer.split("+") if binding.deformer else []
     skinned = [step for step in steps if step.endswith("skinning")]
-    _tell(made, binding, shape, steps)
+    _tell(skel_definition, binding, shape, steps)
     skeleton = skeletons.holding(shape if skinned else Shape(shape.name, shape.points, shape.faces))
     api.CreateSkeletonRel().SetTargets([skeleton])
     if skinned and shape.capture is not None:
@@ -166,16 +172,18 @@ def _write_shape(
         _write_blends(stage, path, api, definition, shape)
 
 
-def _tell(made: SkelDefinition, binding: Binding, shape: Shape, steps: list[str]) -> None:
+def _tell(skel_definition: SkelDefinition, binding: Binding, shape: Shape, steps: list[str]) -> None:
     """Note, once for a binding, what UsdSkel does differently."""
     if "dualquatblendskinning" in steps:
-        made.notes.append(f"`{shape.name}` blends linear and dual quaternion skinning: UsdSkel has one of them, dual quaternions")
+        skel_definition.notes.append(
+            f"`{shape.name}` blends linear and dual quaternion skinning: UsdSkel has one of them, dual quaternions"
+        )
     known = {"blendshape", "linearskinning", "dualquatskinning", "dualquatblendskinning"}
     others = [step for step in steps if step not in known]
     if others:
-        made.notes.append(f"`{shape.name}` is deformed by `{others[0]}`, which UsdSkel does not have: it is left out")
+        skel_definition.notes.append(f"`{shape.name}` is deformed by `{others[0]}`, which UsdSkel does not have: it is left out")
     if "blendshape" in steps and steps[0] != "blendshape":
-        made.notes.append(f"`{shape.name}` is blended after it was skinned: UsdSkel blends first")
+        skel_definition.notes.append(f"`{shape.name}` is blended after it was skinned: UsdSkel blends first")
 
 
 def _write_capture(api: Any, definition: Definition, shape: Shape) -> None:
@@ -196,28 +204,28 @@ def _write_blends(stage: Any, path: str, api: Any, definition: Definition, shape
     taken = {"st"}
     for name in blend.shapes:
         each = f"{path}/{free(identifier(name), taken)}"
-        made = skel.BlendShape.Define(stage, each)
+        blend_shape = skel.BlendShape.Define(stage, each)
         shapes, weights = knots_of(definition, name)
         for target, weight in zip(shapes, weights.tolist(), strict=True):
-            into = made if weight == 1.0 else made.CreateInbetween(identifier(target.name))
+            into = blend_shape if weight == 1.0 else blend_shape.CreateInbetween(identifier(target.name))
             rows, other = matched(shape, target, blend.point_id)
             offsets = _offsets(shape, target, "P", rows, other, blend.attributes)
             normals = _offsets(shape, target, "N", rows, other, blend.attributes)
             if weight == 1.0:
-                made.CreateOffsetsAttr(vectors(offsets))
-                made.CreateNormalOffsetsAttr(vectors(normals))
+                blend_shape.CreateOffsetsAttr(vectors(offsets))
+                blend_shape.CreateNormalOffsetsAttr(vectors(normals))
             else:
                 into.SetWeight(weight)
                 into.SetOffsets(vectors(offsets))
                 into.CreateNormalOffsetsAttr(vectors(normals))
-        targets.append(made.GetPath())
+        targets.append(blend_shape.GetPath())
     api.CreateBlendShapesAttr(pxr("Vt").TokenArray([identifier(channel) for channel in blend.channels]))
     api.CreateBlendShapeTargetsRel().SetTargets(targets)
 
 
 def _offsets(base: Shape, target: Shape, name: str, rows: Array, other: Array, blended: tuple[str, ...]) -> Array:
     """Return the offsets float32[P, 3] from the points of the base to those of another shape."""
-    found = np.zeros((len(base.points), 3), np.float32)
+    offsets = np.zeros((len(base.points), 3), np.float32)
     if name in blended and values_of(base, name) is not None and values_of(target, name) is not None:
-        found[rows] = difference(base, target, name, rows, other).T
-    return found
+        offsets[rows] = difference(base, target, name, rows, other).T
+    return offsets

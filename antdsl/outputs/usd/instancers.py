@@ -15,7 +15,7 @@ from antdsl.outputs.cache.manifest import SpeciesEntry
 from antdsl.outputs.paths import matched
 from antdsl.outputs.pictures.light import decoded
 from antdsl.outputs.usd.bank import Bank
-from antdsl.outputs.usd.moments import Agents, Moment
+from antdsl.outputs.usd.moments import Agents, TimeSample
 from antdsl.outputs.usd.values import ROOT, Out, Samples, identifier, integers, name_states, vectors
 from antdsl.scene.geometry.usd import pxr
 
@@ -46,10 +46,10 @@ class InstancerWriter:
             "protoIndices": (integers, np.int32),
         }
 
-    def sample(self, moment: Moment) -> None:
+    def sample(self, time_sample: TimeSample) -> None:
         """The agents at a time, by their ids."""
-        agents, time = moment.agents(self._number), moment.time
-        prototypes = self._prototypes(agents, moment.shown[self._number])
+        agents, time = time_sample.agents(self._number), time_sample.time
+        prototypes = self._prototypes(agents, time_sample.shutter_agents[self._number])
         self._set(time, "positions", agents.position)
         turn = self._signed(agents)
         # USD's arrays of quaternions lie in memory with the real part last, as ours do
@@ -59,7 +59,7 @@ class InstancerWriter:
         self._set(time, "angularVelocities", agents.turning)
         self._set(time, "scales", np.repeat(agents.scale[:, None], 3, axis=1))
         self._set(time, "ids", agents.ids)
-        self._set(time, "invisibleIds", agents.ids[~agents.seen])
+        self._set(time, "invisibleIds", agents.ids[~agents.is_visible])
         self._set(time, "protoIndices", prototypes)
         self._set(time, "extent", self._extent(agents))
         self._primvar(time, "displayColor", decoded(agents.colour))
@@ -71,27 +71,27 @@ class InstancerWriter:
             self.made.CreatePrototypesRel().SetTargets(self._bank.paths)
             self._targets = len(self._bank.paths)
 
-    def _prototypes(self, agents: Agents, shown: Agents) -> NDArray[np.int32]:
+    def _prototypes(self, agents: Agents, shutter_agents: Agents) -> NDArray[np.int32]:
         """Return the prototype of each agent, constant while the shutter of a frame is open, since motion blur needs the same
         mesh."""
-        found = self._bank.numbers(agents)
-        if agents.ids is not shown.ids:
-            at, there = matched(agents.ids, shown.ids)
-            found[there] = self._bank.numbers(shown)[at[there]]
-        return found
+        prototypes = self._bank.numbers(agents)
+        if agents.ids is not shutter_agents.ids:
+            at, is_matched = matched(agents.ids, shutter_agents.ids)
+            prototypes[is_matched] = self._bank.numbers(shutter_agents)[at[is_matched]]
+        return prototypes
 
     def _signed(self, agents: Agents) -> NDArray[np.float64]:
         """Return orientations with the signs of the previous sample."""
         turn = agents.orient.copy()
-        at, there = matched(agents.ids, self._signs[0])
-        if there.any():
-            products = (turn[there] * self._signs[1][at[there]]).sum(axis=1)
-            turn[there] *= np.where(products < 0, -1.0, 1.0)[:, None]
+        at, is_matched = matched(agents.ids, self._signs[0])
+        if is_matched.any():
+            products = (turn[is_matched] * self._signs[1][at[is_matched]]).sum(axis=1)
+            turn[is_matched] *= np.where(products < 0, -1.0, 1.0)[:, None]
         self._signs = (agents.ids, turn)
         return turn
 
     def _extent(self, agents: Agents) -> NDArray[np.float64]:
-        place, size = agents.position[agents.seen], agents.scale[agents.seen]
+        place, size = agents.position[agents.is_visible], agents.scale[agents.is_visible]
         if not len(place):
             return np.zeros((2, 3))
         reach = self._bank.reach * size[:, None]
@@ -109,20 +109,20 @@ class InstancerWriter:
         """Write a value of each agent; states are indices of their names."""
         if name not in self._samples:
             types, vt = pxr("Sdf").ValueTypeNames, pxr("Vt")
-            whole = np.asarray(values).dtype.kind in "iu"
+            is_integer = np.asarray(values).dtype.kind in "iu"
             if name == "state":
-                made = self._api.CreatePrimvar("state", types.TokenArray, "vertex")
-                made.Set(vt.TokenArray(self._names))
-                self._samples[name] = self._out.samples(made.CreateIndicesAttr(), integers, np.int32)
+                primvar = self._api.CreatePrimvar("state", types.TokenArray, "vertex")
+                primvar.Set(vt.TokenArray(self._names))
+                self._samples[name] = self._out.samples(primvar.CreateIndicesAttr(), integers, np.int32)
             elif name == "displayColor":
                 self._samples[name] = self._out.samples(
                     self._api.CreatePrimvar(name, types.Color3fArray, "vertex"), vectors, np.float32
                 )
-            elif whole:
+            elif is_integer:
                 self._samples[name] = self._out.samples(
                     self._api.CreatePrimvar(identifier(name), types.IntArray, "vertex"), integers, np.int32
                 )
             else:
-                made = self._api.CreatePrimvar(identifier(name), types.FloatArray, "vertex")
-                self._samples[name] = self._out.samples(made, vt.FloatArray.FromNumpy, np.float32)
+                primvar = self._api.CreatePrimvar(identifier(name), types.FloatArray, "vertex")
+                self._samples[name] = self._out.samples(primvar, vt.FloatArray.FromNumpy, np.float32)
         self._samples[name].set(time, values)

@@ -17,7 +17,7 @@ from antdsl.scene.geometry.usd import pxr
 
 Floats = NDArray[np.float32]
 _SAMPLES = 8  # of each clip, which an extent is measured by
-_ROOM = 1.25  # of an extent, for what lies between samples and for blends
+_EXTENT_MARGIN = 1.25  # of an extent, for what lies between samples and for blends
 _ROUGHNESS = 0.55
 _GREY = (0.35, 0.35, 0.35)  # where nothing says a colour
 
@@ -60,7 +60,7 @@ class Looks:
 def _surface(stage: Any, path: str, colour: tuple[float, float, float] | None) -> Any:
     """Return a material of one colour (linear), or of the colour in the primvar displayColor."""
     shade, types, gf = pxr("UsdShade"), pxr("Sdf").ValueTypeNames, pxr("Gf")
-    made = shade.Material.Define(stage, path)
+    material = shade.Material.Define(stage, path)
     surface = shade.Shader.Define(stage, f"{path}/surface")
     surface.CreateIdAttr("UsdPreviewSurface")
     surface.CreateInput("roughness", types.Float).Set(_ROUGHNESS)
@@ -73,8 +73,8 @@ def _surface(stage: Any, path: str, colour: tuple[float, float, float] | None) -
         reader.CreateInput("varname", types.String).Set("displayColor")
         reader.CreateInput("fallback", types.Float3).Set(gf.Vec3f(*_GREY))
         diffuse.ConnectToSource(reader.CreateOutput("result", types.Float3))
-    made.CreateSurfaceOutput().ConnectToSource(surface.CreateOutput("surface", types.Token))
-    return made
+    material.CreateSurfaceOutput().ConnectToSource(surface.CreateOutput("surface", types.Token))
+    return material
 
 
 class DrawnBody:
@@ -105,7 +105,7 @@ class DrawnBody:
                 low, high = np.minimum(low, points.min(axis=0)), np.maximum(high, points.max(axis=0))
         if not np.isfinite(low).all():
             return np.zeros((2, 3))
-        middle, half = (low + high) / 2, (high - low) / 2 * _ROOM
+        middle, half = (low + high) / 2, (high - low) / 2 * _EXTENT_MARGIN
         return np.stack([middle - half, middle + half])
 
     def _playing(self) -> Iterator[tuple[MachineClips, ...]]:

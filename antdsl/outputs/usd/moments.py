@@ -19,7 +19,7 @@ from antdsl.outputs.pictures.model import Crowd, Picture
 
 Floats = NDArray[np.float64]
 _OWN = frozenset(["frame", "P", "v", "orient", "id", "pscale", "Cd", "species", "v_ground", "state"])
-_KEPT = 3  # frames in memory: the one before, this and the next
+_CACHED_FRAMES = 3  # frames in memory: the one before, this and the next
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -29,7 +29,7 @@ class Agents:
 
     `velocity` [n, 3] is in units per second, `turning` [n, 3] in degrees per second about world axes. `own_velocity` [n, 3] is
     relative to the ground, as in the cache. `state` is int64[n] or None; `numbers`: further values by name. `parts`: crowds with
-    one worn body each, and their rows here. `seen` bool[n]: agents with a position that can be drawn."""
+    one worn body each, and their rows here. `is_visible` bool[n]: agents with a position that can be drawn."""
 
     ids: NDArray[np.int64]
     position: Floats
@@ -42,28 +42,30 @@ class Agents:
     own_velocity: Floats
     numbers: dict[str, NDArray[np.generic]]
     parts: tuple[tuple[Crowd, NDArray[np.intp]], ...]
-    seen: NDArray[np.bool_]
+    is_visible: NDArray[np.bool_]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Moment:
-    """A time in frames: the `picture` of the frame at or before it, and the agents of each species there. `after`: those of the
-    next frame if it is in the cache, else `before`. `share`: the position of the time between the two frames. `dt`: seconds
-    between frames. `shown`: the agents of the frame with the open shutter."""
+class TimeSample:
+    """A time in frames: the `picture` of the frame at or before it, and the agents of each species there. `next_agents`: those of
+    the next frame if it is in the cache, else `previous_agents`. `share`: the position of the time between the two frames. `dt`:
+    seconds between frames. `shutter_agents`: the agents of the frame with the open shutter."""
 
     time: float
     share: float
     dt: float
     picture: Picture
     species: tuple[Agents, ...]
-    after: tuple[Agents, ...] | None
-    before: tuple[Agents, ...] | None
-    shown: tuple[Agents, ...]
+    next_agents: tuple[Agents, ...] | None
+    previous_agents: tuple[Agents, ...] | None
+    shutter_agents: tuple[Agents, ...]
 
     def agents(self, number: int) -> Agents:
         """Return the agents of a species at this time."""
         here = self.species[number]
-        return here if not self.share else _moved(here, self.after[number] if self.after else None, self.share, self.dt)
+        return (
+            here if not self.share else _moved(here, self.next_agents[number] if self.next_agents else None, self.share, self.dt)
+        )
 
 
 @dataclass(slots=True)
@@ -78,41 +80,46 @@ class Moments:
     def __post_init__(self) -> None:
         self._known = set(self.gallery.cache.frames())
 
-    def at(self, time: float, frame: int) -> Moment:
+    def at(self, time: float, frame: int) -> TimeSample:
         """A time that belongs to a frame which is in the cache. Raises CacheError where a frame is damaged."""
         first = int(np.floor(time + 1e-9))
         first = first if first in self._known else frame
         share = float(time) - first
         picture, _ = self._frame(first)
-        after = self._frame(first + 1)[1] if first + 1 in self._known else None
-        before = self._frame(first - 1)[1] if after is None and first - 1 in self._known else None
-        return Moment(
+        next_agents = self._frame(first + 1)[1] if first + 1 in self._known else None
+        previous_agents = self._frame(first - 1)[1] if next_agents is None and first - 1 in self._known else None
+        return TimeSample(
             time,
             0.0 if abs(share) < 1e-9 else share,
             self.gallery.dt,
             picture,
-            self._led(first),
-            after,
-            before,
+            self._with_velocities(first),
+            next_agents,
+            previous_agents,
             self._frame(frame)[1],
         )
 
-    def _led(self, frame: int) -> tuple[Agents, ...]:
+    def _with_velocities(self, frame: int) -> tuple[Agents, ...]:
         """The agents of a frame, with velocities that lead to the next."""
         if frame not in self._leading:
-            here = self._frame(frame)[1]
-            after = self._frame(frame + 1)[1] if frame + 1 in self._known else None
-            before = self._frame(frame - 1)[1] if after is None and frame - 1 in self._known else None
-            self._leading = dict(list(self._leading.items())[1 - _KEPT :])
+            agents = self._frame(frame)[1]
+            next_agents = self._frame(frame + 1)[1] if frame + 1 in self._known else None
+            previous_agents = self._frame(frame - 1)[1] if next_agents is None and frame - 1 in self._known else None
+            self._leading = dict(list(self._leading.items())[1 - _CACHED_FRAMES :])
             self._leading[frame] = tuple(
-                _leading(each, after[k] if after else None, before[k] if before else None, self.gallery.dt)
-                for k, each in enumerate(here)
+                _leading(
+                    each,
+                    next_agents[k] if next_agents else None,
+                    previous_agents[k] if previous_agents else None,
+                    self.gallery.dt,
+                )
+                for k, each in enumerate(agents)
             )
         return self._leading[frame]
 
     def _frame(self, frame: int) -> tuple[Picture, tuple[Agents, ...]]:
         if frame not in self._frames:
-            self._frames = dict(list(self._frames.items())[1 - _KEPT :])
+            self._frames = dict(list(self._frames.items())[1 - _CACHED_FRAMES :])
             arrays = self.gallery.cache.frame(frame)
             picture = self.gallery.picture(frame)
             count = len(self.gallery.manifest.species)
@@ -130,8 +137,8 @@ def _agents(gallery: Gallery, picture: Picture, arrays: Arrays, number: int) -> 
         ids, rows = ids[order], rows[order]
     place, orient, scale = (np.asarray(arrays[key], np.float64)[rows] for key in ("P", "orient", "pscale"))
     size = np.linalg.norm(orient, axis=1, keepdims=True)
-    seen = np.isfinite(place).all(axis=1) & np.isfinite(size[:, 0]) & (size[:, 0] > 0) & np.isfinite(scale) & (scale > 0)
-    turn = np.where(seen[:, None], orient / np.where(size > 0, size, 1.0), (0.0, 0.0, 0.0, 1.0))
+    is_visible = np.isfinite(place).all(axis=1) & np.isfinite(size[:, 0]) & (size[:, 0] > 0) & np.isfinite(scale) & (scale > 0)
+    turn = np.where(is_visible[:, None], orient / np.where(size > 0, size, 1.0), (0.0, 0.0, 0.0, 1.0))
     own, ground = (
         np.nan_to_num(np.asarray(arrays[key], np.float64)[rows]) if key in arrays else np.zeros((len(rows), 3))
         for key in ("v", "v_ground")
@@ -148,12 +155,12 @@ def _agents(gallery: Gallery, picture: Picture, arrays: Arrays, number: int) -> 
     parts = tuple(_part(crowd, ids) for crowd in picture.crowds if crowd.species == name)
     if any(crowd.feet is not None for crowd, _ in parts):
         phase = np.zeros(len(rows), np.float32)
-        for crowd, there in parts:
-            phase[there] = 0.0 if crowd.feet is None else crowd.feet.phase
+        for crowd, part_rows in parts:
+            phase[part_rows] = 0.0 if crowd.feet is None else crowd.feet.phase
         numbers["phase"] = phase
     return Agents(
-        ids, np.where(seen[:, None], place, 0.0), turn, np.where(seen, scale, 0.0), colour, own + ground,
-        np.zeros((len(rows), 3)), state, own, numbers, parts, seen,
+        ids, np.where(is_visible[:, None], place, 0.0), turn, np.where(is_visible, scale, 0.0), colour, own + ground,
+        np.zeros((len(rows), 3)), state, own, numbers, parts, is_visible,
     )  # fmt: skip
 
 
@@ -164,22 +171,22 @@ def _part(crowd: Crowd, ids: NDArray[np.int64]) -> tuple[Crowd, NDArray[np.intp]
     return crowd, np.searchsorted(ids, crowd.ids)
 
 
-def _leading(here: Agents, after: Agents | None, before: Agents | None, dt: float) -> Agents:
+def _leading(agents: Agents, next_agents: Agents | None, previous_agents: Agents | None, dt: float) -> Agents:
     """Return agents with velocities that lead to the next frame; for the last frame, those that led to it."""
-    other = after or before
-    if other is None or not len(here.ids):
-        return here
-    at, there = matched(here.ids, other.ids)
-    there = there & here.seen
-    there[there] &= other.seen[at[there]]
-    if not there.any():
-        return here
-    towards = 1.0 if after is not None else -1.0
-    velocity, turning = here.velocity.copy(), here.turning.copy()
-    if after is not None:
-        velocity[there] = (other.position[at[there]] - here.position[there]) / dt
-    turning[there] = np.degrees(rotation_vector(here.orient[there], other.orient[at[there]])) * (towards / dt)
-    return replace(here, velocity=velocity, turning=turning)
+    other = next_agents or previous_agents
+    if other is None or not len(agents.ids):
+        return agents
+    at, is_matched = matched(agents.ids, other.ids)
+    is_matched = is_matched & agents.is_visible
+    is_matched[is_matched] &= other.is_visible[at[is_matched]]
+    if not is_matched.any():
+        return agents
+    towards = 1.0 if next_agents is not None else -1.0
+    velocity, turning = agents.velocity.copy(), agents.turning.copy()
+    if next_agents is not None:
+        velocity[is_matched] = (other.position[at[is_matched]] - agents.position[is_matched]) / dt
+    turning[is_matched] = np.degrees(rotation_vector(agents.orient[is_matched], other.orient[at[is_matched]])) * (towards / dt)
+    return replace(agents, velocity=velocity, turning=turning)
 
 
 def rotation_vector(first: Floats, second: Floats) -> Floats:
@@ -191,8 +198,8 @@ def rotation_vector(first: Floats, second: Floats) -> Floats:
     size = np.linalg.norm(axis, axis=1)
     angle = 2.0 * np.arctan2(size, real)
     by = np.where(size > 1e-12, angle / np.maximum(size, 1e-12), 2.0)
-    found: Floats = axis * by[:, None]
-    return found
+    vectors: Floats = axis * by[:, None]
+    return vectors
 
 
 def turned_by(orient: Floats, turn: Floats) -> Floats:
@@ -201,18 +208,20 @@ def turned_by(orient: Floats, turn: Floats) -> Floats:
     by = np.where(angle > 1e-12, np.sin(angle / 2) / np.maximum(angle, 1e-12), 0.5)
     v, w = turn * by[:, None], np.cos(angle / 2)[:, None]
     own, real = orient[:, :3], orient[:, 3:]
-    made = np.concatenate([w * own + real * v + np.cross(v, own), w * real - dot(v, own)[:, None]], axis=1)
-    found: Floats = made / np.linalg.norm(made, axis=1, keepdims=True)
-    return found
+    quaternions = np.concatenate([w * own + real * v + np.cross(v, own), w * real - dot(v, own)[:, None]], axis=1)
+    unit_quaternions: Floats = quaternions / np.linalg.norm(quaternions, axis=1, keepdims=True)
+    return unit_quaternions
 
 
-def _moved(here: Agents, after: Agents | None, share: float, dt: float) -> Agents:
+def _moved(agents: Agents, next_agents: Agents | None, share: float, dt: float) -> Agents:
     """Return agents at a fraction `share` of the time to the next frame."""
-    scale = here.scale
-    if after is not None:
-        at, there = matched(here.ids, after.ids)
-        there[there] &= after.seen[at[there]]
+    scale = agents.scale
+    if next_agents is not None:
+        at, is_matched = matched(agents.ids, next_agents.ids)
+        is_matched[is_matched] &= next_agents.is_visible[at[is_matched]]
         scale = scale.copy()
-        scale[there] += (after.scale[at[there]] - scale[there]) * share
-    position = here.position + here.velocity * (share * dt)
-    return replace(here, position=position, orient=turned_by(here.orient, np.radians(here.turning) * (share * dt)), scale=scale)
+        scale[is_matched] += (next_agents.scale[at[is_matched]] - scale[is_matched]) * share
+    position = agents.position + agents.velocity * (share * dt)
+    return replace(
+        agents, position=position, orient=turned_by(agents.orient, np.radians(agents.turning) * (share * dt)), scale=scale
+    )

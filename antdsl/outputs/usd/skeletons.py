@@ -15,7 +15,7 @@ from antdsl.outputs.paths import matched
 from antdsl.outputs.pictures.light import decoded
 from antdsl.outputs.usd.definitions import SkelDefinition, write_definition
 from antdsl.outputs.usd.materials import Looks
-from antdsl.outputs.usd.moments import Agents, Moment
+from antdsl.outputs.usd.moments import Agents, TimeSample
 from antdsl.outputs.usd.values import BODIES, LOOKS, ROOT, Out, Samples, Visibility, identifier, name_states
 from antdsl.scene.geometry.usd import pxr
 
@@ -43,36 +43,36 @@ class SkeletonWriter:
     @property
     def notes(self) -> list[str]:
         """What UsdSkel does not hold of the bodies."""
-        told = [note for _, made in self._bodies.values() for note in made.notes]
+        messages = [note for _, definition in self._bodies.values() for note in definition.notes]
         if self._sheared:
-            told.append(f"joints of `{self._species.name}` are sheared: UsdSkel has no shear, it is left out")
-        return told
+            messages.append(f"joints of `{self._species.name}` are sheared: UsdSkel has no shear, it is left out")
+        return messages
 
-    def sample(self, moment: Moment) -> None:
+    def sample(self, time_sample: TimeSample) -> None:
         """Write the agents at a time. Missing agents are hidden."""
-        agents = moment.agents(self._number)
-        self._first = moment.time if self._first is None else self._first
-        there = set[tuple[int, int]]()
+        agents = time_sample.agents(self._number)
+        self._first = time_sample.time if self._first is None else self._first
+        visible_keys = set[tuple[int, int]]()
         colour = decoded(agents.colour)
         for part, (crowd, rows) in enumerate(agents.parts):
             if crowd.worn is None:
                 continue
-            body, made = self._body(crowd.worn)
-            joints = _joints(moment, self._number, part, body)
+            body, definition = self._body(crowd.worn)
+            joints = _joints(time_sample, self._number, part, body)
             self._sheared = self._sheared or joints.sheared
-            channels = [body.definition.rig.channel(name) for name in made.channels]
+            channels = [body.definition.rig.channel(name) for name in definition.channels]
             for k, row in enumerate(rows.tolist()):
-                if not agents.seen[row]:
+                if not agents.is_visible[row]:
                     continue
-                agent = self._agent(int(agents.ids[row]), made, moment.time)
-                there.add((int(agents.ids[row]), made.number))
-                agent.place(moment.time, agents, row, colour[row])
-                agent.pose(moment.time, [each[k] for each in joints.values], joints.channels[k, channels])
+                agent = self._agent(int(agents.ids[row]), definition, time_sample.time)
+                visible_keys.add((int(agents.ids[row]), definition.number))
+                agent.place(time_sample.time, agents, row, colour[row])
+                agent.pose(time_sample.time, [each[k] for each in joints.values], joints.channels[k, channels])
         if self._file != self._out.number:  # a file of values says of all that it may show later that they are not there yet
             self._file, self._there = self._out.number, set(self._agents)
-        for gone in sorted(self._there - there):
-            self._agents[gone].hide(moment.time)
-        self._there = there
+        for hidden_key in sorted(self._there - visible_keys):
+            self._agents[hidden_key].hide(time_sample.time)
+        self._there = visible_keys
 
     def _agent(self, name: int, body: SkelDefinition, time: float) -> _Agent:
         """Return the instance of a body for an agent. An agent that changes its layers later gets another instance."""
@@ -80,8 +80,8 @@ class SkeletonWriter:
             assert self._first is not None
             path = f"agent_{name}" if name not in self._named else f"agent_{name}_{body.number}"
             self._named.add(name)
-            made = _Agent(self._out, self._path, path, name, body, self._species, self._first, time, self._copies)
-            self._agents[name, body.number] = made
+            agent = _Agent(self._out, self._path, path, name, body, self._species, self._first, time, self._copies)
+            self._agents[name, body.number] = agent
         return self._agents[name, body.number]
 
     def _body(self, worn: PosedBody) -> tuple[PosedBody, SkelDefinition]:
@@ -89,9 +89,9 @@ class SkeletonWriter:
             number = len(self._bodies) + 1
             name = self._out.name("species", self._species.name) + (f"_{number}" if self._bodies else "")
             looks = Looks(self._out.stage, f"{LOOKS}/{name}", worn.definition.materials)
-            made = write_definition(self._out.stage, f"{BODIES}/{name}", worn, looks, self._close)
-            made.number = number
-            self._bodies[id(worn)] = worn, made
+            definition = write_definition(self._out.stage, f"{BODIES}/{name}", worn, looks, self._close)
+            definition.number = number
+            self._bodies[id(worn)] = worn, definition
         return self._bodies[id(worn)]
 
 
@@ -123,19 +123,23 @@ class _Joints:
         self.values = (self.values[0], np.ascontiguousarray(np.moveaxis(normalised(turn), 0, -1)), self.values[2])
 
 
-def _joints(moment: Moment, number: int, part: int, body: PosedBody) -> _Joints:
+def _joints(time_sample: TimeSample, number: int, part: int, body: PosedBody) -> _Joints:
     """Return the joints of the agents with a body, at a time. Beyond the last frame, the last motion continues."""
-    agents = moment.species[number]
+    agents = time_sample.species[number]
     crowd, rows = agents.parts[part]
-    found = _Joints(crowd.poses(local=True))
-    others, share = (moment.after, moment.share) if moment.after else (moment.before, -moment.share)
+    joints = _Joints(crowd.poses(local=True))
+    others, share = (
+        (time_sample.next_agents, time_sample.share)
+        if time_sample.next_agents
+        else (time_sample.previous_agents, -time_sample.share)
+    )
     if not share or others is None:
-        return found
-    for other, there in others[number].parts:
+        return joints
+    for other, other_rows in others[number].parts:
         if other.worn is body:
-            at, same = matched(agents.ids[rows], others[number].ids[there])
-            found.mix(same, _Joints(other.poses(local=True)), at, share)
-    return found
+            at, same = matched(agents.ids[rows], others[number].ids[other_rows])
+            joints.mix(same, _Joints(other.poses(local=True)), at, share)
+    return joints
 
 
 class _Agent:
@@ -167,25 +171,25 @@ class _Agent:
         if body.channels:
             moves.CreateBlendShapesAttr(vt.TokenArray([identifier(channel) for channel in body.channels]))
             self._weights = out.samples(moves.CreateBlendShapeWeightsAttr(), vt.FloatArray.FromNumpy, np.float32)
-        made = skel.Root.Define(stage, f"{above}/{path}")
-        prim = made.GetPrim()
+        root = skel.Root.Define(stage, f"{above}/{path}")
+        prim = root.GetPrim()
         single, double = geom.XformOp.PrecisionFloat, geom.XformOp.PrecisionDouble
-        self._place = out.samples(made.AddTranslateOp(double), lambda v: gf.Vec3d(*v.tolist()))
-        self._turn = out.samples(made.AddOrientOp(single), lambda v: gf.Quatf(float(v[3]), *v[:3].tolist()), np.float32)
-        self._size = out.samples(made.AddScaleOp(single), lambda v: gf.Vec3f(*v.tolist()), np.float32)
+        self._place = out.samples(root.AddTranslateOp(double), lambda v: gf.Vec3d(*v.tolist()))
+        self._turn = out.samples(root.AddOrientOp(single), lambda v: gf.Quatf(float(v[3]), *v[:3].tolist()), np.float32)
+        self._size = out.samples(root.AddScaleOp(single), lambda v: gf.Vec3f(*v.tolist()), np.float32)
         prim.GetPayloads().AddInternalPayload(body.path)
         prim.SetInstanceable(not copies)
         skel.BindingAPI.Apply(prim).CreateAnimationSourceRel().SetTargets([moves.GetPath()])
         prim.CreateAttribute("userProperties:id", types.Int64).Set(name)
-        self._api = geom.PrimvarsAPI(made)
+        self._api = geom.PrimvarsAPI(root)
         colour = self._api.CreatePrimvar("displayColor", types.Color3fArray, "constant")
         tinted = (stage.OverridePrim(f"{above}/{path}/{below}") for below in body.tinted if copies)
-        shown = [geom.PrimvarsAPI(each).CreatePrimvar("displayColor", types.Color3fArray, "constant") for each in tinted]
-        self._colour = [out.samples(each, lambda v: vt.Vec3fArray.FromNumpy(v[None]), np.float32) for each in (colour, *shown)]
+        tints = [geom.PrimvarsAPI(each).CreatePrimvar("displayColor", types.Color3fArray, "constant") for each in tinted]
+        self._colour = [out.samples(each, lambda v: vt.Vec3fArray.FromNumpy(v[None]), np.float32) for each in (colour, *tints)]
         self._names = [state.name for state in species.machines[0].states] if species.machines else []
         self._numbers: dict[str, Samples] = {}
         self._before = (np.zeros(4), None)
-        self._seen = Visibility(out, made, first, time)
+        self._seen = Visibility(out, root, first, time)
 
     def place(self, time: float, agents: Agents, row: int, colour: NDArray[np.floating]) -> None:
         self._place.set(time, agents.position[row])
@@ -202,12 +206,12 @@ class _Agent:
         self._seen.set(time, True)
 
     def pose(self, time: float, joints: list[Any], weights: Any) -> None:
-        places, turns, scales = joints
-        before = self._before[1]
-        if before is not None:
-            turns = np.where((turns * before).sum(axis=-1, keepdims=True) < 0, -turns, turns)
+        positions, turns, scales = joints
+        previous = self._before[1]
+        if previous is not None:
+            turns = np.where((turns * previous).sum(axis=-1, keepdims=True) < 0, -turns, turns)
         self._before = (self._before[0], turns)
-        for samples, values in zip(self._joints, (places, turns, scales), strict=True):
+        for samples, values in zip(self._joints, (positions, turns, scales), strict=True):
             samples.set(time, values)
         if self._weights is not None:
             self._weights.set(time, weights)
@@ -215,13 +219,13 @@ class _Agent:
     def _number(self, name: str, value: Any, time: float) -> None:
         if name not in self._numbers:
             types, names = pxr("Sdf").ValueTypeNames, self._names
-            whole = np.asarray(value).dtype.kind in "iu"
+            is_integer = np.asarray(value).dtype.kind in "iu"
             if name == "state":
-                made = self._api.CreatePrimvar("state", types.Token, "constant")
-                self._numbers[name] = self._out.samples(made, lambda v: names[int(v[0])], np.int64)
+                primvar = self._api.CreatePrimvar("state", types.Token, "constant")
+                self._numbers[name] = self._out.samples(primvar, lambda v: names[int(v[0])], np.int64)
             else:
-                made = self._api.CreatePrimvar(identifier(name), types.Int if whole else types.Float, "constant")
-                self._numbers[name] = self._out.samples(made, (lambda v: int(v[0])) if whole else (lambda v: float(v[0])))
+                primvar = self._api.CreatePrimvar(identifier(name), types.Int if is_integer else types.Float, "constant")
+                self._numbers[name] = self._out.samples(primvar, (lambda v: int(v[0])) if is_integer else (lambda v: float(v[0])))
         self._numbers[name].set(time, np.reshape(value, 1))
 
     def hide(self, time: float) -> None:

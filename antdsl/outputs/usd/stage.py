@@ -27,7 +27,7 @@ from antdsl.outputs.usd.world import WorldWriter
 from antdsl.outputs.usd.xforms import XformWriter
 from antdsl.scene.geometry.usd import pxr
 from antdsl.scene.model import UNIT_MM
-from antdsl.whole import whole
+from antdsl.whole import atomic_path
 
 _SET = "default"  # the name of a prim's first set of clips
 SKELETONS = 200  # agents of a species up to which each has a skeleton
@@ -90,21 +90,21 @@ def _most(gallery: Gallery, frames: list[int]) -> list[int]:
         arrays = gallery.cache.frame(frame, frozenset(["id", "species"]))
         which = np.asarray(arrays["species"]) if "species" in arrays else np.zeros(len(arrays.get("id", ())), np.int64)
         most = np.maximum(most, np.bincount(which, minlength=count)[:count])
-    found: list[int] = most.tolist()
-    return found
+    counts: list[int] = most.tolist()
+    return counts
 
 
 def times(frame: int, options: XformOptions) -> list[float]:
     """Return the sample times of agents for a frame: at the frame, and over the shutter interval."""
     around = np.linspace(*options.shutter, options.samples) if options.shutter else np.zeros(1)
-    found: list[float] = sorted({round(frame + part, 6) for part in (0.0, *around.tolist())})
-    return found
+    sample_times: list[float] = sorted({round(frame + part, 6) for part in (0.0, *around.tolist())})
+    return sample_times
 
 
 def _export(
     gallery: Gallery, frames: list[int], path: Path, options: XformOptions, kind: Callable[[int], Callable[..., Writer]]
 ) -> list[str]:
-    with disk_failures(path), whole(path, path.suffix) as part:
+    with disk_failures(path), atomic_path(path, path.suffix) as part:
         try:
             stage = pxr("Usd").Stage.CreateNew(str(part))
         except pxr("Tf").ErrorException as problem:
@@ -129,11 +129,11 @@ class _Shot:
 
     def at(self, time: float, frame: int) -> None:
         """Write agents at a time, and at the frame itself the world."""
-        moment = self.moments.at(time, frame)
+        time_sample = self.moments.at(time, frame)
         if time == frame:
-            self.world.frame(frame, moment.picture)
+            self.world.frame(frame, time_sample.picture)
         for crowd in self.crowds:
-            crowd.sample(moment)
+            crowd.sample(time_sample)
 
 
 def _write(shot: _Shot, files: ValueFiles, frames: list[int], options: XformOptions, stage: Any) -> None:
@@ -191,7 +191,7 @@ class ValueFiles:
         if not self._starts:
             return
         self._save()
-        part = self._parts.enter_context(whole(self._named(f"{frame:04d}.usdc"), ".usdc"))
+        part = self._parts.enter_context(atomic_path(self._named(f"{frame:04d}.usdc"), ".usdc"))
         part.unlink()
         self._layer = pxr("Sdf").Layer.CreateNew(str(part))
         self._out.begin(self._layer)
@@ -219,7 +219,7 @@ class ValueFiles:
             return
         self._out.clip = None
         manifest = self._named("manifest.usda")
-        self._out.manifest.Export(str(self._parts.enter_context(whole(manifest, ".usda"))))
+        self._out.manifest.Export(str(self._parts.enter_context(atomic_path(manifest, ".usda"))))
         gf, vt = pxr("Gf"), pxr("Vt")
         clips = pxr("Usd").ClipsAPI(self._out.stage.GetPrimAtPath(ROOT))
         names = [f"./{self._named(f'{frame:04d}.usdc').name}" for frame in self._starts]

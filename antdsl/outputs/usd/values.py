@@ -113,9 +113,9 @@ class Visibility:
         if time > first:
             self._samples.set(first, [False])
 
-    def set(self, time: float, there: bool) -> None:
+    def set(self, time: float, is_visible: bool) -> None:
         """Whether it is there from a time on."""
-        self._samples.set(time, [there])
+        self._samples.set(time, [is_visible])
 
 
 def vectors(values: Array) -> Any:
@@ -146,20 +146,20 @@ def box(points: Array) -> Array:
 
 def mesh(stage: Any, path: str, points: Array, faces: Array, normals: Array | None = None, uvs: Array | None = None) -> Any:
     """Return a static mesh of triangles, with `normals` (n, 3) and `uvs` (n, 2) per point if given."""
-    made = pxr("UsdGeom").Mesh.Define(stage, path)
-    made.CreatePointsAttr(vectors(points))
-    made.CreateFaceVertexCountsAttr(integers(np.full(len(faces), 3)))
-    made.CreateFaceVertexIndicesAttr(integers(np.ravel(faces)))
-    made.CreateSubdivisionSchemeAttr("none")
-    made.CreateExtentAttr(vectors(box(points)))
+    usd_mesh = pxr("UsdGeom").Mesh.Define(stage, path)
+    usd_mesh.CreatePointsAttr(vectors(points))
+    usd_mesh.CreateFaceVertexCountsAttr(integers(np.full(len(faces), 3)))
+    usd_mesh.CreateFaceVertexIndicesAttr(integers(np.ravel(faces)))
+    usd_mesh.CreateSubdivisionSchemeAttr("none")
+    usd_mesh.CreateExtentAttr(vectors(box(points)))
     if normals is not None:
-        made.CreateNormalsAttr(vectors(normals))
-        made.SetNormalsInterpolation("vertex")
+        usd_mesh.CreateNormalsAttr(vectors(normals))
+        usd_mesh.SetNormalsInterpolation("vertex")
     if uvs is not None:
         kind = pxr("Sdf").ValueTypeNames.TexCoord2fArray
-        made_uvs = pxr("UsdGeom").PrimvarsAPI(made).CreatePrimvar("st", kind, "vertex")
+        made_uvs = pxr("UsdGeom").PrimvarsAPI(usd_mesh).CreatePrimvar("st", kind, "vertex")
         made_uvs.Set(pxr("Vt").Vec2fArray.FromNumpy(np.ascontiguousarray(uvs, np.float32)))
-    return made
+    return usd_mesh
 
 
 def name_states(prim: Any, species: SpeciesEntry) -> None:
@@ -171,12 +171,12 @@ def name_states(prim: Any, species: SpeciesEntry) -> None:
 
 def free(name: str, taken: set[str]) -> str:
     """Return the name, with a number if it is taken, and mark it as taken."""
-    found, number = name, 1
-    while found in taken:
+    unique_name, number = name, 1
+    while unique_name in taken:
         number += 1
-        found = f"{name}_{number}"
-    taken.add(found)
-    return found
+        unique_name = f"{name}_{number}"
+    taken.add(unique_name)
+    return unique_name
 
 
 def identifier(name: str) -> str:

@@ -52,8 +52,8 @@ class WorldWriter:
                 if frame > self._first:
                     self._fields[trail.name].nothing(self._first)
             self._fields[trail.name].frame(frame, trail)
-        for gone in self._fields.keys() - {trail.name for trail in picture.trails}:
-            self._fields[gone].nothing(frame)
+        for removed_name in self._fields.keys() - {trail.name for trail in picture.trails}:
+            self._fields[removed_name].nothing(frame)
         if self._camera is not None:
             self._camera.frame(frame)
 
@@ -68,10 +68,10 @@ class WorldWriter:
                 geom.Xform.Define(stage, f"{ROOT}/items")
             path = f"{ROOT}/items/{free(identifier(item.name), self._items_named)}"
             points, faces, colour = placed(item.shape)
-            ways: tuple[Array, Array] = (points, vertex_normals(points, faces))
+            geometry: tuple[Array, Array] = (points, vertex_normals(points, faces))
             if self._gallery.manifest.up == "z":
-                ways = (_upright(ways[0]), _upright(ways[1]))
-            place, normals = ways
+                geometry = (_upright(geometry[0]), _upright(geometry[1]))
+            place, normals = geometry
             shape = mesh(stage, path, place, faces, normals, _around(points))
             ops = (shape.AddTranslateOp(), shape.AddScaleOp(geom.XformOp.PrecisionDouble))
             self._items[number] = (self._out.samples(ops[0], _vector), self._out.samples(ops[1], _vector))
@@ -87,14 +87,14 @@ class _CameraWriter:
 
     def __init__(self, out: Out, gallery: Gallery) -> None:
         self._gallery, self._reaches = gallery, False
-        made = pxr("UsdGeom").Camera.Define(out.stage, f"{ROOT}/camera")
+        camera = pxr("UsdGeom").Camera.Define(out.stage, f"{ROOT}/camera")
         self._tenths = 10.0 / UNIT_MM[gallery.manifest.units]  # of a millimetre in the stage's unit
-        made.CreateHorizontalApertureAttr(_APERTURE * self._tenths)
-        made.CreateVerticalApertureAttr(_APERTURE * 9 / 16 * self._tenths)
-        self._clipping = made.CreateClippingRangeAttr()
-        self._move = out.samples(made.AddTransformOp(), lambda rows: pxr("Gf").Matrix4d(*rows.ravel().tolist()))
+        camera.CreateHorizontalApertureAttr(_APERTURE * self._tenths)
+        camera.CreateVerticalApertureAttr(_APERTURE * 9 / 16 * self._tenths)
+        self._clipping = camera.CreateClippingRangeAttr()
+        self._move = out.samples(camera.AddTransformOp(), lambda rows: pxr("Gf").Matrix4d(*rows.ravel().tolist()))
         self._focal, self._focus = (
-            out.samples(a, lambda v: float(v[0])) for a in (made.CreateFocalLengthAttr(), made.CreateFocusDistanceAttr())
+            out.samples(a, lambda v: float(v[0])) for a in (camera.CreateFocalLengthAttr(), camera.CreateFocusDistanceAttr())
         )
 
     def frame(self, frame: int) -> None:
@@ -121,17 +121,17 @@ class _MeshWriter:
     """Writer of a mesh of the world; it writes what has changed since the previous frame."""
 
     def __init__(self, out: Out, path: str, up: str = "y") -> None:
-        made = pxr("UsdGeom").Mesh.Define(out.stage, path)
-        made.CreateSubdivisionSchemeAttr("none")
-        made.CreateDoubleSidedAttr(True)
-        self._counts = out.samples(made.CreateFaceVertexCountsAttr(), integers, np.int32)
-        self._corners = out.samples(made.CreateFaceVertexIndicesAttr(), integers, np.int32)
-        self._points = out.samples(made.CreatePointsAttr(), vectors, np.float32)
-        self._normals = out.samples(made.CreateNormalsAttr(), vectors, np.float32)
-        made.SetNormalsInterpolation("faceVarying")
-        self._extent = out.samples(made.CreateExtentAttr(), vectors, np.float32)
+        usd_mesh = pxr("UsdGeom").Mesh.Define(out.stage, path)
+        usd_mesh.CreateSubdivisionSchemeAttr("none")
+        usd_mesh.CreateDoubleSidedAttr(True)
+        self._counts = out.samples(usd_mesh.CreateFaceVertexCountsAttr(), integers, np.int32)
+        self._corners = out.samples(usd_mesh.CreateFaceVertexIndicesAttr(), integers, np.int32)
+        self._points = out.samples(usd_mesh.CreatePointsAttr(), vectors, np.float32)
+        self._normals = out.samples(usd_mesh.CreateNormalsAttr(), vectors, np.float32)
+        usd_mesh.SetNormalsInterpolation("faceVarying")
+        self._extent = out.samples(usd_mesh.CreateExtentAttr(), vectors, np.float32)
         kind = pxr("Sdf").ValueTypeNames.TexCoord2fArray
-        uvs = pxr("UsdGeom").PrimvarsAPI(made).CreatePrimvar("st", kind, "vertex")
+        uvs = pxr("UsdGeom").PrimvarsAPI(usd_mesh).CreatePrimvar("st", kind, "vertex")
         self._uvs = out.samples(uvs, pxr("Vt").Vec2fArray.FromNumpy, np.float32)
         self._up = 1 if up == "y" else 2
         self._drawn: Solid | None = None
@@ -157,16 +157,16 @@ class _FieldWriter:
     def __init__(self, out: Out, trail: Trail) -> None:
         geom = pxr("UsdGeom")
         geom.Xform.Define(out.stage, f"{ROOT}/fields")
-        made = geom.Points.Define(out.stage, f"{ROOT}/fields/{identifier(trail.name)}")
-        made.CreatePurposeAttr("guide")
+        usd_points = geom.Points.Define(out.stage, f"{ROOT}/fields/{identifier(trail.name)}")
+        usd_points.CreatePurposeAttr("guide")
         floats = pxr("Vt").FloatArray.FromNumpy
-        self._points = out.samples(made.CreatePointsAttr(), vectors, np.float32)
-        self._widths = out.samples(made.CreateWidthsAttr(), floats, np.float32)
-        made.SetWidthsInterpolation("vertex")
+        self._points = out.samples(usd_points.CreatePointsAttr(), vectors, np.float32)
+        self._widths = out.samples(usd_points.CreateWidthsAttr(), floats, np.float32)
+        usd_points.SetWidthsInterpolation("vertex")
         kind = pxr("Sdf").ValueTypeNames.FloatArray
-        self._strength = out.samples(geom.PrimvarsAPI(made).CreatePrimvar("strength", kind, "vertex"), floats, np.float32)
-        self._extent = out.samples(made.CreateExtentAttr(), vectors, np.float32)
-        made.CreateDisplayColorPrimvar("constant").Set(vectors(decoded(np.array([trail.colour]))))
+        self._strength = out.samples(geom.PrimvarsAPI(usd_points).CreatePrimvar("strength", kind, "vertex"), floats, np.float32)
+        self._extent = out.samples(usd_points.CreateExtentAttr(), vectors, np.float32)
+        usd_points.CreateDisplayColorPrimvar("constant").Set(vectors(decoded(np.array([trail.colour]))))
 
     def nothing(self, frame: int) -> None:
         """Write the field in a frame without any strength."""
@@ -176,8 +176,8 @@ class _FieldWriter:
         self._extent.set(frame, np.zeros((2, 3)))
 
     def frame(self, frame: int, trail: Trail) -> None:
-        there = np.flatnonzero(trail.strength > 0)
-        points, strength = trail.position[there], trail.strength[there]
+        rows = np.flatnonzero(trail.strength > 0)
+        points, strength = trail.position[rows], trail.strength[rows]
         full = trail.full or float(strength.max(initial=0.0)) or 1.0
         width = trail.cell * np.sqrt(np.clip(strength / full, 0.0, 1.0))
         self._points.set(frame, points)
@@ -194,8 +194,8 @@ def creased_normals(points: Array, faces: Array) -> Array:
     flat = unit_or(flat, np.array([0.0, 1.0, 0.0]))
     smooth = vertex_normals(points, faces).astype(np.float64)[faces]
     near = (smooth * flat[:, None]).sum(axis=-1, keepdims=True) > _CREASE
-    found: Array = np.where(near, smooth, flat[:, None]).reshape(-1, 3).astype(np.float32)
-    return found
+    normals: Array = np.where(near, smooth, flat[:, None]).reshape(-1, 3).astype(np.float32)
+    return normals
 
 
 def _from_above(points: Array, up: int) -> Array:
@@ -204,22 +204,22 @@ def _from_above(points: Array, up: int) -> Array:
     if not len(flat):
         return np.zeros((0, 2), np.float32)
     low = flat.min(axis=0)
-    found: Array = ((flat - low) / max(float((flat.max(axis=0) - low).max()), 1e-12)).astype(np.float32)
-    return found
+    coordinates: Array = ((flat - low) / max(float((flat.max(axis=0) - low).max()), 1e-12)).astype(np.float32)
+    return coordinates
 
 
 def _around(points: Array) -> Array:
     """Texture coordinates (n, 2) around the middle of a body."""
     low, high = box(points)
-    way = points - (low + high) / 2
-    size = np.maximum(np.linalg.norm(way, axis=1), 1e-12)
-    around = np.arctan2(way[:, 2], way[:, 0]) / (2 * np.pi) + 0.5
-    return np.stack([around, np.arccos(np.clip(way[:, 1] / size, -1.0, 1.0)) / np.pi], axis=1).astype(np.float32)
+    offset = points - (low + high) / 2
+    size = np.maximum(np.linalg.norm(offset, axis=1), 1e-12)
+    around = np.arctan2(offset[:, 2], offset[:, 0]) / (2 * np.pi) + 0.5
+    return np.stack([around, np.arccos(np.clip(offset[:, 1] / size, -1.0, 1.0)) / np.pi], axis=1).astype(np.float32)
 
 
-def _upright(ways: Array) -> Array:
+def _upright(directions: Array) -> Array:
     """Convert vectors (n, 3) from a world with y up to one with z up."""
-    return np.stack([ways[:, 0], -ways[:, 2], ways[:, 1]], axis=1)
+    return np.stack([directions[:, 0], -directions[:, 2], directions[:, 1]], axis=1)
 
 
 def _vector(values: Array) -> Any:

@@ -10,7 +10,7 @@ from antdsl.outputs.cache.manifest import SpeciesEntry
 from antdsl.outputs.euler_angles import Angles
 from antdsl.outputs.pictures.light import decoded
 from antdsl.outputs.usd.bank import Bank, coloured
-from antdsl.outputs.usd.moments import Moment
+from antdsl.outputs.usd.moments import TimeSample
 from antdsl.outputs.usd.values import ROOT, Out, Visibility, name_states
 from antdsl.scene.geometry.usd import pxr
 
@@ -29,26 +29,26 @@ class XformWriter:
         self._first: float | None = None
         self._file = out.number
 
-    def sample(self, moment: Moment) -> None:
+    def sample(self, time_sample: TimeSample) -> None:
         """Write the agents at a time. Missing agents are hidden."""
-        agents, time = moment.agents(self._number), moment.time
+        agents, time = time_sample.agents(self._number), time_sample.time
         self._first = time if self._first is None else self._first
         turn = self._angles.of(agents.ids, agents.orient)
         colour = decoded(agents.colour)
-        here = agents.ids[agents.seen]
+        visible_ids = agents.ids[agents.is_visible]
         if self._file != self._out.number:  # a file of values says of all that it may show later that they are not there yet
             self._file, self._there = self._out.number, np.array(sorted(self._agents), np.int64)
-        for gone in np.setdiff1d(self._there, here).tolist():
-            self._agents[gone].hide(time)
+        for hidden_id in np.setdiff1d(self._there, visible_ids).tolist():
+            self._agents[hidden_id].hide(time)
         for row, name in enumerate(agents.ids.tolist()):
-            if not agents.seen[row]:
+            if not agents.is_visible[row]:
                 continue
             if name not in self._agents:
                 pose = self._bank.poses_of(agents)[row]
                 self._agents[name] = _Agent(self._out, f"{self._path}/agent_{name}", pose, name, self._first, time)
             state = -1 if agents.state is None else int(agents.state[row])
             self._agents[name].set(time, agents.position[row], turn[row], agents.scale[row], colour[row], state)
-        self._there = here
+        self._there = visible_ids
 
 
 class _Agent:
@@ -56,17 +56,17 @@ class _Agent:
 
     def __init__(self, out: Out, path: str, shape: str, name: int, first: float, time: float) -> None:
         geom, types, gf, vt = pxr("UsdGeom"), pxr("Sdf").ValueTypeNames, pxr("Gf"), pxr("Vt")
-        made = geom.Xform.Define(out.stage, path)
+        xform = geom.Xform.Define(out.stage, path)
         double = geom.XformOp.PrecisionDouble
-        ops = (made.AddTranslateOp(double), made.AddRotateXYZOp(double), made.AddScaleOp(double))
+        ops = (xform.AddTranslateOp(double), xform.AddRotateXYZOp(double), xform.AddScaleOp(double))
         self._ops = tuple(out.samples(op, lambda v: gf.Vec3d(*v.tolist())) for op in ops)
-        prim = made.GetPrim()
+        prim = xform.GetPrim()
         prim.CreateAttribute("userProperties:id", types.Int64).Set(name)
         state = prim.CreateAttribute("userProperties:state", types.Int)
         self._state = out.samples(state, lambda v: int(v[0]), np.int32)
         colour = coloured(out.stage, f"{path}/body", shape)
         self._colour = out.samples(colour, lambda v: vt.Vec3fArray.FromNumpy(v[None]), np.float32)
-        self._seen = Visibility(out, made, first, time)
+        self._seen = Visibility(out, xform, first, time)
 
     def set(self, time: float, place: Any, turn: Any, size: float, colour: Any, state: int) -> None:
         for samples, value in zip(self._ops, (place, turn, np.full(3, size)), strict=True):

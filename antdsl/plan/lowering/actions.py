@@ -51,23 +51,25 @@ def _steer(w: Writer, s: model.Steer, site: str) -> None:
 
 
 def _face(w: Writer, s: model.Face, site: str) -> None:
-    way = vector(w, s.way)
-    w.steered(s, site, way)
-    face(w, GAZE, way, s.span)
+    direction = vector(w, s.direction)
+    w.steered(s, site, direction)
+    face(w, GAZE, direction, s.span)
 
 
-def face(w: Writer, register: str, way: Vec, span: Span | None) -> None:
+def face(w: Writer, register: str, direction: Vec, span: Span | None) -> None:
     """Store a direction to face in a temp, unless an earlier request has set one."""
     for axis in AXES:
         w.declare(f"{register}.{axis}", Kind.F32, "temp")
-    before = w.read_vector(register)
-    w.store_vector(register, values.choose(w.b, w.b("gt", values.length(w.b, before), w.b.number(0)), before, way), span)
+    previous = w.read_vector(register)
+    w.store_vector(
+        register, values.choose(w.b, w.b("gt", values.length(w.b, previous), w.b.number(0)), previous, direction), span
+    )
 
 
 def _assign(w: Writer, s: model.Assign, site: str) -> None:
-    about = pair_values.declared(w, s.attribute)
-    if about is not None:
-        pair_values.assign(w, s, about)
+    pair_attribute = pair_values.declared(w, s.attribute)
+    if pair_attribute is not None:
+        pair_values.assign(w, s, pair_attribute)
         return
     b = w.b
     value = lower(w, s.value)
@@ -105,8 +107,8 @@ def _ask(w: Writer, s: model.Ask, site: str) -> None:
         operands = rule(w, *s.args)
     else:
         operands = tuple(None if arg is None else _operand(w, arg, s.per_second) for arg in s.args)
-    whom = next((arg.type.of for arg in s.args if arg is not None and arg.type.kind is model.Kind.AGENT), None)
-    w.add(ir.Request(s.op, s.of, operands, s.span, own=s.own, site=s.key, whom=whom))
+    target_species = next((arg.type.of for arg in s.args if arg is not None and arg.type.kind is model.Kind.AGENT), None)
+    w.add(ir.Request(s.op, s.of, operands, s.span, own=s.own, site=s.key, target_species=target_species))
 
 
 def _operand(w: Writer, arg: model.Expr, per_second: bool) -> Node:

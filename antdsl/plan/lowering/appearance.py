@@ -59,12 +59,12 @@ def begin(w: Writer, starts: Sequence[model.State]) -> None:
             if isinstance(line, (model.Wear, model.Channel)):
                 w.b.span = line.span
                 WRITE[type(line)](w, line, "")
-    _shown(w)
+    _store_display(w)
 
 
 def settle(w: Writer) -> None:
     """Apply the requests of all machines after they have acted; looks turn by one step."""
-    _shown(w)
+    _store_display(w)
     b = w.b
     for group in looks_of(w.species):
         name = f"look#{group}"
@@ -72,11 +72,11 @@ def settle(w: Writer) -> None:
         least = b("max", w.read(f"~{name}.over"), w.run("dt"))
         share = b("sub", b.number(1), b("exp", b("neg", b("div", w.run("dt"), least))))
         turned = values.unit(b, values.add(b, now, values.scale(b, values.sub(b, wish, now), share)))
-        there = b("gt", values.dot(b, turned, turned), b.number(0.5))
-        w.store_vector(name, values.choose(b, there, turned, now), None)
+        has_direction = b("gt", values.dot(b, turned, turned), b.number(0.5))
+        w.store_vector(name, values.choose(b, has_direction, turned, now), None)
 
 
-def _shown(w: Writer) -> None:
+def _store_display(w: Writer) -> None:
     for layer in wears_of(w.species):
         w.store(f"wear#{layer}", w.read(f"~wear#{layer}"), None)
     for name in channels_of(w.species):
@@ -99,19 +99,19 @@ def _look(w: Writer, line: model.Look, site: str) -> None:
     """Write the look direction to a position in the agent's frame, limited to the allowed angle; straight ahead where there is no
     such position."""
     b, register = w.b, f"~look#{line.group}"
-    there, offset = away(w, lower(w, line.at), line.at)
-    way = values.unit(b, values.keep_if(b, there, offset))
+    is_present, offset = away(w, lower(w, line.at), line.at)
+    direction = values.unit(b, values.keep_if(b, is_present, offset))
     heading, up = w.read_vector("heading"), w.read_vector("up")
     side = values.cross(b, heading, up)
-    seen = Vec(values.dot(b, way, heading), values.dot(b, way, up), values.dot(b, way, side))
+    local_direction = Vec(values.dot(b, direction, heading), values.dot(b, direction, up), values.dot(b, direction, side))
     limit = b.number(WITHIN) if line.within is None else scalar(w, line.within)
     least, widest = b("cos", limit), b("sin", limit)
-    aside = values.length(b, Vec(b.number(0), seen.y, seen.z))
+    aside = values.length(b, Vec(b.number(0), local_direction.y, local_direction.z))
     far = b("div", widest, b("max", aside, b.number(1e-6)))
-    held = Vec(least, b("mul", seen.y, far), b("mul", seen.z, far))
-    wish = values.choose(b, b("lt", seen.x, least), held, seen)
+    held = Vec(least, b("mul", local_direction.y, far), b("mul", local_direction.z, far))
+    wish = values.choose(b, b("lt", local_direction.x, least), held, local_direction)
     ahead = Vec(*(b.number(part) for part in _AHEAD))
-    known = b("and", there, b("gt", aside, b.number(1e-6)))  # what is straight behind has no side to turn to
+    known = b("and", is_present, b("gt", aside, b.number(1e-6)))  # what is straight behind has no side to turn to
     w.store_vector(register, values.choose(b, known, wish, ahead), line.span)
     w.store(f"{register}.over", b.number(OVER) if line.over is None else scalar(w, line.over), line.span)
 

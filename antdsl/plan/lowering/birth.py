@@ -18,7 +18,7 @@ from antdsl.program.traverse import inside
 
 VECTORS = ("position", "velocity", "heading", "up")
 # The given ones in an order in which each can be made from those before it; `group` is set by the runtime, by the scene's line.
-GIVEN = ("size", "mass", "radius", "clearance", "max_speed", "min_speed", "response", "max_turn", "max_force")
+BIRTH_ATTRIBUTES = ("size", "mass", "radius", "clearance", "max_speed", "min_speed", "response", "max_turn", "max_force")
 
 
 def declare(w: Writer) -> None:
@@ -26,7 +26,7 @@ def declare(w: Writer) -> None:
     for name in VECTORS:
         for axis in "xyz":
             w.declare(f"{name}.{axis}", Kind.F32, "attribute")
-    for name in (*GIVEN, "group"):
+    for name in (*BIRTH_ATTRIBUTES, "group"):
         if name != "min_speed" or keeps_moving(w.species):
             w.declare(name, Kind.F32, "attribute")
     if w.measures_pushes:
@@ -38,7 +38,7 @@ def declare(w: Writer) -> None:
         if attribute.name == "push":
             w.report.error("reserved-name", "`push` is the plan's own name", attribute.span, "call the attribute something else")
             continue
-        if not attribute.given and attribute.name not in GIVEN:
+        if not attribute.is_builtin and attribute.name not in BIRTH_ATTRIBUTES:
             w.declare_typed(attribute.name, attribute.type, "attribute")
 
 
@@ -54,8 +54,8 @@ def given_default(w: Writer, name: str) -> Node:
     dt = w.run("dt")
     time = b("max", w.read("response"), dt)
     strength = b("div", b("mul", w.read("mass"), w.read("max_speed")), time)
-    once = b("le", w.read("response"), b("mul", dt, b.number(1.0001)))
-    return b("mul", strength, b("where", once, b.number(2), b.number(1)))
+    is_instant = b("le", w.read("response"), b("mul", dt, b.number(1.0001)))
+    return b("mul", strength, b("where", is_instant, b.number(2), b.number(1)))
 
 
 _PLAIN = {"size": 4.0, "mass": 1.0, "clearance": 0.0, "max_speed": 30.0, "min_speed": 0.0, "response": 0.15, "max_turn": inf}
@@ -80,16 +80,16 @@ def _unless_given(w: Writer, name: str, default: Value) -> Value:
     if name not in w.begun_with or not isinstance(default, Node) or default.kind not in (Kind.F32, Kind.BOOL):
         return default
     w.declare(begun_with(name), Kind.F32, "temp", inf)
-    b, given = w.b, w.read(begun_with(name))
-    value = given if default.kind is Kind.F32 else b("ne", given, b.number(0))
-    return b("where", b("lt", given, b.number(inf)), value, default)
+    b, scene_value = w.b, w.read(begun_with(name))
+    value = scene_value if default.kind is Kind.F32 else b("ne", scene_value, b.number(0))
+    return b("where", b("lt", scene_value, b.number(inf)), value, default)
 
 
 def _written(w: Writer) -> dict[str, model.AttributeDecl]:
     """Return the attributes that the author wrote. A built-in one located at the species' own name comes from the card and is
     made here, where the step length is known."""
     mine = [a for a in w.species.attributes if not a.each and a.name != "push"]
-    return {a.name: a for a in mine if not (a.given and a.span == w.species.span)}
+    return {a.name: a for a in mine if not (a.is_builtin and a.span == w.species.span)}
 
 
 def _attribute(w: Writer, name: str) -> None:
@@ -112,7 +112,7 @@ def _attribute(w: Writer, name: str) -> None:
 def _order(w: Writer) -> list[str]:
     """Return the names of all attributes, each after those that its default reads. The checker has already rejected cycles."""
     declared = _written(w)
-    needs: dict[str, list[str]] = {name: [] for name in (*GIVEN, *declared) if name in w.registers or name in declared}
+    needs: dict[str, list[str]] = {name: [] for name in (*BIRTH_ATTRIBUTES, *declared) if name in w.registers or name in declared}
     for name in needs:
         if name in declared:
             needs[name] = [n for n in attributes_read(declared[name].default) if n in needs]

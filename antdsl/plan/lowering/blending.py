@@ -68,10 +68,10 @@ def _face(w: Writer, layers: Sequence[model.Layer]) -> None:
         try:
             holds = w.b.true if layer.condition is None else truth(w, layer.condition)
             with w.region(holds, layer.span):
-                way = w.read_vector(GAZE) if layer.push is None else vector(w, layer.push)
+                direction = w.read_vector(GAZE) if layer.push is None else vector(w, layer.push)
                 if layer.push is not None:
-                    w.steered(layer, f"{w.species.name}.layers.face#{number}", way, holds)
-                face(w, FACE, way, layer.span)
+                    w.steered(layer, f"{w.species.name}.layers.face#{number}", direction, holds)
+                face(w, FACE, direction, layer.span)
         except NotYet as missing:
             complain(w, missing)
 
@@ -98,8 +98,8 @@ def _spend(w: Writer, push: Vec, span: object, last: bool) -> None:
 def _take(w: Writer, push: Vec, layer: model.Layer, last: bool) -> None:
     """The first push that is any takes all."""
     b = w.b
-    some = b("gt", values.length(b, push), b.number(0))
-    with w.region(some, layer.span):
+    is_nonzero = b("gt", values.length(b, push), b.number(0))
+    with w.region(is_nonzero, layer.span):
         w.store_vector(PUSH, values.limit(b, push, b.number(1)), layer.span)
         if not last:
             w.store(LEFT, b.number(0), layer.span)

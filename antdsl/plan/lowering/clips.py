@@ -33,7 +33,7 @@ TURN, SLOPE = pi / 2, 0.5  # rad/s, and the sine of the angle: what counts whole
 SMOOTH = 0.15  # s in which both follow
 OVER = 0.15  # s, in which one clip gives way to the next where no change says otherwise
 NONE = -1
-_BEFORE = 1e-6  # turns: where a clip that begins was before, so that it comes past a mark at its start
+_START_OFFSET = 1e-6  # turns: where a clip that begins was before, so that it comes past a mark at its start
 _START, _LAST, _BEGINS, _WAITS = "~clip.start", "~clip.last", "~clip.begins", "~clip.waits"
 _NUMBERS = (
     "clip_turns", "clip_last", "clip_weight", "clip_before_turns", "clip_before_weight", "clip_fade",
@@ -49,15 +49,15 @@ _BACK = (
 
 def clips_of(species: model.Species) -> tuple[ir.ClipPlan, ...]:
     """The clips that a species plays, each once, in text order."""
-    found: dict[ir.ClipPlan, None] = {}
+    clip_plans: dict[ir.ClipPlan, None] = {}
     for machine in species.machines:
         for line in _lines(machine):
-            found.setdefault(_planned(line))
-    return tuple(found)
+            clip_plans.setdefault(_planned(line))
+    return tuple(clip_plans)
 
 
 def _planned(line: model.Play) -> ir.ClipPlan:
-    return ir.ClipPlan(line.clip, line.on, line.add, *line.ways)
+    return ir.ClipPlan(line.clip, line.on, line.add, *line.blend_clips)
 
 
 def plays(machine: model.Machine) -> bool:
@@ -86,7 +86,7 @@ def begin(w: Writer, machine: model.Machine) -> None:
     draw = b("draw", attrs=(f"{w.species.name}.{name}.clip", 0))
     w.store(f"{name}.clip", clip, line.span)
     w.store(f"{name}.clip_turns", b("where", _loops(w, clip), draw, b.number(0)), line.span)
-    w.store(f"{name}.clip_last", b("sub", w.read(f"{name}.clip_turns"), b.number(_BEFORE)), line.span)
+    w.store(f"{name}.clip_last", b("sub", w.read(f"{name}.clip_turns"), b.number(_START_OFFSET)), line.span)
     w.store(f"{name}.clip_weight", b.number(1), line.span)
 
 
@@ -152,23 +152,23 @@ def test(w: Writer, e: model.ClipTest) -> Node:
     if not plays(names):
         return b.false
     turns, last = w.read(f"{machine}.clip_turns"), w.read(f"{machine}.clip_last")
-    begun = b("not", w.read(f"{machine}.clip_waits"))
+    has_begun = b("not", w.read(f"{machine}.clip_waits"))
     if not e.mark:
-        return b("and", begun, b("ge", turns, b.number(1)))
+        return b("and", has_begun, b("ge", turns, b.number(1)))
     mark = b("clip.value", w.read(f"{machine}.clip"), attrs=(f"mark {e.mark}",))
-    whole = [b("floor", b("sub", each, mark)) for each in (turns, last)]
-    once = b("and", b("lt", last, mark), b("ge", turns, mark))
-    passed = b("or", b("and", _loops(w, w.read(f"{machine}.clip")), b("gt", whole[0], whole[1])), once)
-    return b("and", begun, b("and", passed, b("ge", mark, b.number(0))))
+    cycles = [b("floor", b("sub", each, mark)) for each in (turns, last)]
+    crosses_mark = b("and", b("lt", last, mark), b("ge", turns, mark))
+    passed = b("or", b("and", _loops(w, w.read(f"{machine}.clip")), b("gt", cycles[0], cycles[1])), crosses_mark)
+    return b("and", has_begun, b("and", passed, b("ge", mark, b.number(0))))
 
 
 def _first_turns(w: Writer, machine: str, clip: Node, step: Node) -> tuple[Node, Node]:
     """Return the first turns of another clip, and its turns before that. It begins at 0, or in step with the previous clip if
     both cover ground; it then advances by `step` turns."""
-    b, before, turns = w.b, w.read(f"{machine}.clip"), w.read(f"{machine}.clip_turns")
-    both = b("and", b("ne", before, clip), b("and", _walks(w, before), _walks(w, clip)))
+    b, previous_clip, turns = w.b, w.read(f"{machine}.clip"), w.read(f"{machine}.clip_turns")
+    both = b("and", b("ne", previous_clip, clip), b("and", _walks(w, previous_clip), _walks(w, clip)))
     part = b("sub", turns, b("floor", turns))
-    return b("where", both, b("add", part, step), b.number(0)), b("where", both, part, b.number(-_BEFORE))
+    return b("where", both, b("add", part, step), b.number(0)), b("where", both, part, b.number(-_START_OFFSET))
 
 
 def _become(w: Writer, machine: str, clip: Node, span: Span | None) -> None:
@@ -191,10 +191,10 @@ def _fade(w: Writer, machine: str, span: Span | None) -> None:
             ("clip_earlier", "clip_earlier_fade", "clip_earlier_fading"),
             ("clip_before", "clip_fade", "clip_fading"),
         ):
-            before = w.read(f"{machine}.{which}")
+            previous_clip = w.read(f"{machine}.{which}")
             left = b("sub", w.read(f"{machine}.{share}"), b("div", dt, b("max", w.read(f"{machine}.{over}"), dt)))
-            turns = b("add", w.read(f"{machine}.{which}_turns"), b("mul", _pace(w, before), dt))
-            held = b("where", _loops(w, before), turns, b("min", turns, b.number(1)))
+            turns = b("add", w.read(f"{machine}.{which}_turns"), b("mul", _pace(w, previous_clip), dt))
+            held = b("where", _loops(w, previous_clip), turns, b("min", turns, b.number(1)))
             w.store(f"{machine}.{which}_turns", held, span)
             w.store(f"{machine}.{share}", b("max", left, b.number(0)), span)
 
@@ -252,11 +252,11 @@ def settle(w: Writer) -> None:
         return
     b, dt, heading = w.b, w.run("dt"), w.read_vector("heading")
     turned = b("div", values.dot(b, values.cross(b, w.read_vector("lean#was"), heading), w.read_vector("up")), dt)
-    rises = values.dot(b, heading, Vec(*(w.run(f"up_{axis}") for axis in AXES)))
+    climb = values.dot(b, heading, Vec(*(w.run(f"up_{axis}") for axis in AXES)))
     share = b("sub", b.number(1), b("exp", b("neg", b("div", dt, b.number(SMOOTH)))))
-    for name, measure, whole in (("turn", turned, TURN), ("slope", rises, SLOPE)):
+    for name, measure, full_value in (("turn", turned, TURN), ("slope", climb, SLOPE)):
         now = w.read(f"lean#{name}")
-        wish = _limited(w, b("div", measure, b.number(whole)))
+        wish = _limited(w, b("div", measure, b.number(full_value)))
         w.store(f"lean#{name}", b("add", now, b("mul", b("sub", wish, now), share)), None)
     w.store_vector("lean#was", heading, None)
 

@@ -70,10 +70,10 @@ def present(w: Writer, value: Value, expr: model.Expr) -> Node:
     if isinstance(value, Group):
         return w.b("reduce.any", value.nodes, value.condition)
     if isinstance(value, Hits):
-        found = w.b.false
+        is_any = w.b.false
         for hit in value.hits:
-            found = w.b("or", found, hit.hit)
-        return found
+            is_any = w.b("or", is_any, hit.hit)
+        return is_any
     if isinstance(value, Element | Own | Vec):
         return w.b.true
     raise PlanError(f"a {type(value).__name__} is never none: {expr.span.text!r}")
@@ -169,13 +169,13 @@ def _needed(w: Writer, binding: model.Binding, known: Container[model.Binding]) 
     """Return the lets to lower first, innermost first. This avoids deep recursion for a long chain of lets."""
     order: list[model.Binding] = []
     stack: list[tuple[model.Binding, bool]] = [(binding, False)]
-    done: set[model.Binding] = set()
+    visited: set[model.Binding] = set()
     while stack:
         each, ready = stack.pop()
-        if each in done or each in known:
+        if each in visited or each in known:
             continue
         if ready:
-            done.add(each)
+            visited.add(each)
             order.append(each)
             continue
         stack.append((each, True))
@@ -207,9 +207,9 @@ def _keep(w: Writer, binding: model.Binding) -> Value:
     w.declare_typed(binding.key, binding.type, "memory")
     w.declare(on, Kind.BOOL, "memory")
     first = lower(w, binding.value)
-    w.environment[binding] = _before(w, binding)
+    w.environment[binding] = _read_previous(w, binding)
     following = lower(w, binding.then)
-    now = select(w, w.before(on), following, first)
+    now = select(w, w.read_previous(on), following, first)
     stores = (
         [(f"{binding.key}.{a}", n, binding.span) for a, n in zip(AXES, now, strict=True)]
         if isinstance(now, Vec)
@@ -220,10 +220,10 @@ def _keep(w: Writer, binding: model.Binding) -> Value:
     return now
 
 
-def _before(w: Writer, binding: model.Binding) -> Value:
+def _read_previous(w: Writer, binding: model.Binding) -> Value:
     if binding.type.kind is model.Kind.VECTOR:
-        return Vec(*(w.before(f"{binding.key}.{axis}") for axis in AXES))
-    node = w.before(binding.key)
+        return Vec(*(w.read_previous(f"{binding.key}.{axis}") for axis in AXES))
+    node = w.read_previous(binding.key)
     return Ref(binding.type.kind, binding.type.of or "", node) if binding.type.kind in NONE else node
 
 
@@ -255,9 +255,9 @@ def _referable(w: Writer, value: Value) -> Value:
 
 
 def _attribute(w: Writer, e: model.Attribute) -> Value:
-    about = next((a for a in w.species.attributes if a.name == e.name and a.each), None)
-    if about is not None and e.of is not None:
-        return w.rules.about(w, about, e.of)
+    pair_attribute = next((a for a in w.species.attributes if a.name == e.name and a.each), None)
+    if pair_attribute is not None and e.of is not None:
+        return w.rules.pair_value(w, pair_attribute, e.of)
     owner = None if e.of is None else lower(w, e.of)
     if e.name == "moved" and "moved" not in w.registers and getattr(owner, "what", None) is not model.Kind.ITEM:
         raise NotYet("`moved`, which nothing in the program asks for,", e.span, "add `let pushed = moved` to a species")
@@ -364,7 +364,7 @@ def _reduce(w: Writer, e: model.Reduce) -> Value:
     return w.rules.reduce(w, e)
 
 
-def _told(w: Writer, e: model.Expr) -> Value:
+def _lower_tell(w: Writer, e: model.Expr) -> Value:
     return w.tell(e)
 
 
@@ -372,6 +372,6 @@ _LOWER: dict[type, Callable[[Writer, Any], Value]] = {
     model.Const: _const, model.NoneRef: _none, model.StateConst: _state, model.ClipTest: _clip_test, model.ParamRef: _param,
     model.Thing: _thing, model.Local: _local, model.Inline: _inline, model.Attribute: _attribute, model.Op: _op,
     model.SetOf: _set, model.Reduce: _reduce,
-    expectations.Whole: _told, expectations.AtStart: _told, expectations.Measured: _told,
-    expectations.Other: _told, expectations.Bodily: _told, expectations.CellValue: _told,
+    expectations.Aggregate: _lower_tell, expectations.AtStart: _lower_tell, expectations.Measured: _lower_tell,
+    expectations.Other: _lower_tell, expectations.Bodily: _lower_tell, expectations.CellValue: _lower_tell,
 }  # fmt: skip

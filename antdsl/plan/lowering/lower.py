@@ -29,7 +29,7 @@ from antdsl.plan.traverse import lazy, needed, operands, statements
 from antdsl.program import model
 from antdsl.program.tables.things import KINDS_OF_THINGS
 
-DEEP = 20_000  # frames of our own recursion over expressions; their nesting is capped by the parser and the checker
+MAX_RECURSION = 20_000  # frames of our own recursion over expressions; their nesting is capped by the parser and the checker
 
 
 def lower(
@@ -58,7 +58,7 @@ def lower(
         w.begun_with = frozenset((begun_with or {}).get(s.name, ()))
         return _species(w, (orders or {}).get(s.name))
 
-    with _deep():
+    with _deep_recursion():
         species = {s.name: species_plan(s) for s in program.species.values()}
         fields = {f.name: _field(builder, program, f, report) for f in program.fields.values()}
         params = {p.name: ir.ParamPlan(p.name, _outside(builder, program, p.default, report)) for p in program.params.values()}
@@ -69,13 +69,13 @@ def lower(
 
 
 @contextmanager
-def _deep() -> Iterator[None]:
-    before = sys.getrecursionlimit()
-    sys.setrecursionlimit(max(before, DEEP))
+def _deep_recursion() -> Iterator[None]:
+    previous_limit = sys.getrecursionlimit()
+    sys.setrecursionlimit(max(previous_limit, MAX_RECURSION))
     try:
         yield
     finally:
-        sys.setrecursionlimit(before)
+        sys.setrecursionlimit(previous_limit)
 
 
 # --- species ---------------------------------------------------------------------------------------------------------
@@ -92,21 +92,21 @@ def _species(w: Writer, order: Sequence[str] | None) -> ir.SpeciesPlan:
     clips.declare_leaning(w)
     machines = [MachineWriter(w, machine) for machine in species.machines]
     born = _born(w, machines)
-    with w.block() as done:
+    with w.block() as finish_block:
         _decide(w, machines)
-        decide = done()
-    with w.block() as done:
+        decide = finish_block()
+    with w.block() as finish_block:
         for machine in machines:
             machine.act()
         appearance.settle(w)
         clips.settle(w)
         stand_still(w, machines)
-        act = done()
-    with w.block() as done:
+        act = finish_block()
+    with w.block() as finish_block:
         layers = blending.blend(w, order)
         for machine in machines:
             machine.advance()
-        blend = done()
+        blend = finish_block()
     nodes = needed(node for phase in (decide, act, blend) for _, s in statements(phase) for node in operands(s))
     events = tuple(sorted({node.attrs[0] for node in nodes if node.op == "event"}))
     return ir.SpeciesPlan(
@@ -119,9 +119,9 @@ def _species(w: Writer, order: Sequence[str] | None) -> ir.SpeciesPlan:
 def _born(w: Writer, machines: list[MachineWriter]) -> Block:
     """Return the block of birth, a separate step: the first real step sees what it stored as values at its start."""
     w.born = True
-    with w.block() as done:
+    with w.block() as finish_block:
         birth.born(w, machines)
-        block = done()
+        block = finish_block()
     w.born = False
     w.begin_step()
     return block
@@ -135,9 +135,9 @@ def _decide(w: Writer, machines: list[MachineWriter]) -> None:
             _relax(w, attribute)
     for latch in w.species.latches:
         _latch(w, latch)
-    met = notice(w)
+    partners = notice(w)
     for number, handler in enumerate(w.species.handlers, 1):
-        _handler(w, handler, number, met)
+        _handler(w, handler, number, partners)
     for machine in machines:
         machine.decide()
 
@@ -164,19 +164,19 @@ def _latch(w: Writer, latch: model.Binding) -> None:
     b, name = w.b, latch.key or latch.name
     b.span = latch.span
     try:
-        on = b("where", w.before(name), b("not", truth(w, latch.then)), truth(w, latch.value))
+        on = b("where", w.read_previous(name), b("not", truth(w, latch.then)), truth(w, latch.value))
         w.store(name, on, latch.span)
     except NotYet as missing:
         complain(w, missing)
 
 
-def _handler(w: Writer, handler: model.Handler, number: int, met: Mapping[str, Node]) -> None:
-    """Write a handler. `met`: the other that an agent has begun to touch, by species."""
+def _handler(w: Writer, handler: model.Handler, number: int, partners: Mapping[str, Node]) -> None:
+    """Write a handler. `partners`: the other that an agent has begun to touch, by species."""
     if handler.event == "spawn":
         return
     if handler.event == "collision":
-        bind(w, handler, met[handler.of])
-        noticed = w.b("ne", met[handler.of], w.b.agent(-1))
+        bind(w, handler, partners[handler.of])
+        noticed = w.b("ne", partners[handler.of], w.b.agent(-1))
     else:
         noticed = w.b("event", attrs=(handler.event,))
     with w.region(noticed, handler.span):
@@ -188,8 +188,8 @@ def _handler(w: Writer, handler: model.Handler, number: int, met: Mapping[str, N
 
 def _outside(builder: Builder, program: model.Program, e: model.Expr, report: Report) -> Node:
     """An expression that no agent is needed for."""
-    nobody = model.Species("", "", (), (), (), (), (), (), model.Layers("budget", (), e.span), e.span)
-    return scalar(Writer(builder, program, nobody, report, RULES), e)
+    empty_species = model.Species("", "", (), (), (), (), (), (), model.Layers("budget", (), e.span), e.span)
+    return scalar(Writer(builder, program, empty_species, report, RULES), e)
 
 
 def _field(builder: Builder, program: model.Program, f: model.Field, report: Report) -> ir.FieldPlan:
@@ -247,30 +247,30 @@ def declare(w: Writer) -> None:
 
 def notice(w: Writer) -> dict[str, Node]:
     """Return the id of the other that an agent has begun to touch, -1 for none, by species; from here on it counts as touched."""
-    found = {}
+    partners = {}
     for of, handler in _met(w.species).items():
         names = _touched(w.species, of)
         w.b.span = handler.span
-        contact = w.b("contact", *(w.before(name) for name in names), attrs=(of,))
+        contact = w.b("contact", *(w.read_previous(name) for name in names), attrs=(of,))
         for number, name in enumerate(names, 1):
             w.store(name, w.b("get", contact, attrs=(number,)), handler.span)
-        found[of] = w.b("get", contact, attrs=(0,))
-    return found
+        partners[of] = w.b("get", contact, attrs=(0,))
+    return partners
 
 
-def bind(w: Writer, handler: model.Handler, whom: Node) -> None:
-    """Bind the name in the brackets of a handler to the agent `whom`."""
+def bind(w: Writer, handler: model.Handler, partner: Node) -> None:
+    """Bind the name in the brackets of a handler to the agent `partner`."""
     if handler.other is not None:
-        w.environment[handler.other] = Ref(model.Kind.AGENT, handler.of, whom)
+        w.environment[handler.other] = Ref(model.Kind.AGENT, handler.of, partner)
 
 
 def _met(species: model.Species) -> dict[str, model.Handler]:
     """The first handler of collisions with each species."""
-    found: dict[str, model.Handler] = {}
+    handlers: dict[str, model.Handler] = {}
     for handler in species.handlers:
         if handler.event == "collision":
-            found.setdefault(handler.of, handler)
-    return found
+            handlers.setdefault(handler.of, handler)
+    return handlers
 
 
 def _touched(species: model.Species, of: str) -> Sequence[str]:

@@ -74,11 +74,11 @@ class MachineWriter:
 
     def among(self, states: Iterable[int]) -> Node:
         """Whether it is in one of these states by now."""
-        here = self.w.read(f"{self.name}.state")
-        found = self.w.b.false
+        state = self.w.read(f"{self.name}.state")
+        is_among = self.w.b.false
         for index in states:
-            found = self.w.b("or", found, self.w.b("eq", here, self.w.b.row(index)))
-        return found
+            is_among = self.w.b("or", is_among, self.w.b("eq", state, self.w.b.row(index)))
+        return is_among
 
     # --- birth -------------------------------------------------------------------------------------------------------
 
@@ -125,8 +125,8 @@ class MachineWriter:
             holds = w.b.true if t.condition is None else truth(w, t.condition)
             if t.held is not None:
                 holds = self._held(t, holds, t.held)
-            if t.after is not None:
-                holds = w.b("and", passed(w, self.name, t.after), holds)
+            if t.delay is not None:
+                holds = w.b("and", passed(w, self.name, t.delay), holds)
             if change.state.at_least is not None and not t.interrupt:
                 holds = w.b("and", passed(w, self.name, change.state.at_least), holds)
             if self._anywhere(t) and t.target is None:
@@ -146,10 +146,10 @@ class MachineWriter:
     def _held(self, t: model.Transition, holds: Node, duration: model.Expr) -> Node:
         """Return whether the condition holds now and has held without a break for `duration` before this step."""
         b, counter = self.w.b, _counter(t)
-        before = self.w.before(counter)
-        count = b("where", holds, b("add", before, b.number(1)), b.number(0))
+        previous_count = self.w.read_previous(counter)
+        count = b("where", holds, b("add", previous_count, b.number(1)), b.number(0))
         self.w.store(counter, count, t.span)
-        return b("and", holds, b("ge", before, steps(self.w, scalar(self.w, duration))))
+        return b("and", holds, b("ge", previous_count, steps(self.w, scalar(self.w, duration))))
 
     def _claim(self, change: _Change) -> None:
         w, take = self.w, change.transition.take
@@ -187,10 +187,10 @@ class MachineWriter:
         taking = [c for c in self.changes if c.transition.take]
         if not taking:
             return chosen
-        asked = b.false
+        is_requested = b.false
         for change in taking:
-            asked = b("or", asked, self._is(change))
-        return b("and", chosen, b("or", b("not", asked), self.w.read(self.won)))
+            is_requested = b("or", is_requested, self._is(change))
+        return b("and", chosen, b("or", b("not", is_requested), self.w.read(self.won)))
 
     def _change(self) -> None:
         w, name, b = self.w, self.name, self.w.b
@@ -230,10 +230,10 @@ class MachineWriter:
 
     def _enter(self, state: model.State) -> None:
         """Restart counters of `held`: a state's own where it is entered, a shared one where a state without it is entered."""
-        here = {t.key for t in state.transitions}
+        own_keys = {t.key for t in state.transitions}
         for key in dict.fromkeys(c.transition.key for c in self.changes if c.transition.held is not None):
             counter = f"{key}.held"
-            if (self.shared[key] == 1) == (key in here):
+            if (self.shared[key] == 1) == (key in own_keys):
                 self.w.store(counter, self.w.b.number(0), state.span)
         write(self.w, state.enter, f"{self.site}.{state.name}.enter")
         clips.enter(self.w, self.machine, state)
@@ -264,5 +264,5 @@ def advance(w: Writer, machine: str) -> None:
     """Count one more step in the state. Steps are whole numbers, so no rounding errors accumulate."""
     b, dt = w.b, w.run("dt")
     name = f"{machine}.time_in_state"
-    whole = b("floor", b("add", b("div", w.read(name), dt), b.number(1.5)))
-    w.store(name, b("mul", whole, dt), None)
+    step_count = b("floor", b("add", b("div", w.read(name), dt), b.number(1.5)))
+    w.store(name, b("mul", step_count, dt), None)

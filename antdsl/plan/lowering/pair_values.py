@@ -35,13 +35,13 @@ def declared(w: Writer, name: str) -> model.AttributeDecl | None:
 
 def read(w: Writer, attribute: model.AttributeDecl, of: model.Expr) -> Node:
     """`likes[other]`."""
-    whom = _id(w, lower(w, of))
-    found = at_rest(w, attribute)
+    other_id = _id(w, lower(w, of))
+    result = at_rest(w, attribute)
     for who, value in reversed(_slots(w, attribute)):
-        found = w.b("where", w.b("eq", who, whom), value, found)
-    if whom.op == "other.id":
-        return found
-    return w.b("where", w.b("eq", whom, w.b.agent(-1)), at_rest(w, attribute), found)
+        result = w.b("where", w.b("eq", who, other_id), value, result)
+    if other_id.op == "other.id":
+        return result
+    return w.b("where", w.b("eq", other_id, w.b.agent(-1)), at_rest(w, attribute), result)
 
 
 def relax(w: Writer, attribute: model.AttributeDecl) -> None:
@@ -54,9 +54,9 @@ def relax(w: Writer, attribute: model.AttributeDecl) -> None:
         keep = b("exp", b("neg", b("div", w.run("dt"), scalar(w, attribute.relax_over))))
     for (who, value), names in zip(_slots(w, attribute), slot_names(attribute.name, attribute.strongest), strict=True):
         away = b("mul", b("sub", value, rest), keep)
-        gone = b("or", b("eq", who, b.agent(-1)), b("le", b("abs", away), b.number(NEAR_REST)))
-        w.store(names[0], b("where", gone, b.agent(-1), who), attribute.span)
-        w.store(names[1], b("where", gone, b.number(0), b("add", rest, away)), attribute.span)
+        is_expired = b("or", b("eq", who, b.agent(-1)), b("le", b("abs", away), b.number(NEAR_REST)))
+        w.store(names[0], b("where", is_expired, b.agent(-1), who), attribute.span)
+        w.store(names[1], b("where", is_expired, b.number(0), b("add", rest, away)), attribute.span)
 
 
 def assign(w: Writer, s: model.Assign, attribute: model.AttributeDecl) -> None:
@@ -66,10 +66,10 @@ def assign(w: Writer, s: model.Assign, attribute: model.AttributeDecl) -> None:
         return
     if s.of is None:
         raise PlanError(f"a value per pair without another agent: {s.span.text!r}")
-    whom = _id(w, lower(w, s.of))
+    other_id = _id(w, lower(w, s.of))
     value = _changed(w, s, read(w, attribute, s.of), scalar(w, s.value))
-    with w.region(w.b("ne", whom, w.b.agent(-1)), s.span):
-        held = _hold(w, f"~{attribute.name}.id", whom, s)
+    with w.region(w.b("ne", other_id, w.b.agent(-1)), s.span):
+        held = _hold(w, f"~{attribute.name}.id", other_id, s)
         _put(w, attribute, held, value, s, known=True)
 
 
@@ -89,11 +89,16 @@ def _assign_all(w: Writer, s: model.Assign, attribute: model.AttributeDecl) -> N
     wrong = b("reduce.any", over.nodes, b("and", over.condition, b("not", sound)))
     w.store(attribute.name, b("where", wrong, b.number(nan), zero), s.span)
     holds = b("and", over.condition, sound)
-    told = []
+    changed_values = []
     for k, (who, value) in enumerate(slots):
-        met = b("reduce.max", over.nodes, b("and", holds, b("eq", other, who)), amount)
-        changed = b("where", b("gt", met, b.number(-inf)), met if s.op == "=" else b("add", value, met), value)
-        told.append(_hold(w, f"~{attribute.name}.{k}", changed, s))
+        matched_amount = b("reduce.max", over.nodes, b("and", holds, b("eq", other, who)), amount)
+        changed = b(
+            "where",
+            b("gt", matched_amount, b.number(-inf)),
+            matched_amount if s.op == "=" else b("add", value, matched_amount),
+            value,
+        )
+        changed_values.append(_hold(w, f"~{attribute.name}.{k}", changed, s))
     new = b.all(holds, b("gt", strength, b.number(NEAR_REST)), *(b("ne", other, who) for who, _ in slots))
     coming = [(f"~{attribute.name}.new.{k}.id", f"~{attribute.name}.new.{k}") for k in range(attribute.strongest)]
     for names in coming:
@@ -103,14 +108,14 @@ def _assign_all(w: Writer, s: model.Assign, attribute: model.AttributeDecl) -> N
 
     def find(new: Node, left: int) -> None:
         """Find the strongest of the agents that have no slot yet, then recursively the next one."""
-        whom = b("reduce.agent", over.nodes, new, b("neg", strength))
-        with w.region(b("ne", whom, b.agent(-1)), s.span):
-            met = b("reduce.max", over.nodes, b("eq", other, whom), amount)
+        other_id = b("reduce.agent", over.nodes, new, b("neg", strength))
+        with w.region(b("ne", other_id, b.agent(-1)), s.span):
+            matched_amount = b("reduce.max", over.nodes, b("eq", other, other_id), amount)
             who, value = coming[-left]
-            w.store(who, whom, s.span)
-            w.store(value, met if s.op == "=" else b("add", rest, met), s.span)
+            w.store(who, other_id, s.span)
+            w.store(value, matched_amount if s.op == "=" else b("add", rest, matched_amount), s.span)
             if left > 1:
-                find(b("and", new, b("ne", other, whom)), left - 1)
+                find(b("and", new, b("ne", other, other_id)), left - 1)
 
     def come_in(left: int) -> None:
         who, value = coming[-left]
@@ -120,7 +125,7 @@ def _assign_all(w: Writer, s: model.Assign, attribute: model.AttributeDecl) -> N
                 come_in(left - 1)
 
     find(new, attribute.strongest)
-    for names, value in zip(slot_names(attribute.name, attribute.strongest), told, strict=True):
+    for names, value in zip(slot_names(attribute.name, attribute.strongest), changed_values, strict=True):
         w.store(names[1], value, s.span)
     come_in(attribute.strongest)
 
@@ -132,27 +137,29 @@ def _hold(w: Writer, name: str, value: Node, s: model.Assign) -> Node:
     return w.read(name)
 
 
-def _put(w: Writer, attribute: model.AttributeDecl, whom: Node, value: Node, s: model.Assign, known: bool) -> None:
+def _put(w: Writer, attribute: model.AttributeDecl, other_id: Node, value: Node, s: model.Assign, known: bool) -> None:
     """Store a value about an agent: in a pass over the slots the stronger stays and the weaker moves to the next, so that the
     weakest of all is left over. `known`: the agent may have a slot already, which is freed first."""
     b, rest = w.b, at_rest(w, attribute)
-    carried, amount = whom, _hold(w, attribute.name, value, s)
+    carried, amount = other_id, _hold(w, attribute.name, value, s)
     strength = b("abs", b("sub", amount, rest))
     changed: list[tuple[Node, Node]] = []
-    for who, kept in _slots(w, attribute):
+    for who, stored_value in _slots(w, attribute):
         if known:
-            freed = b("eq", who, whom)
-            who, kept = b("where", freed, b.agent(-1), who), b("where", freed, b.number(0), kept)
-        held = b("where", b("eq", who, b.agent(-1)), b.number(-1), b("abs", b("sub", kept, rest)))
+            freed = b("eq", who, other_id)
+            who, stored_value = b("where", freed, b.agent(-1), who), b("where", freed, b.number(0), stored_value)
+        held = b("where", b("eq", who, b.agent(-1)), b.number(-1), b("abs", b("sub", stored_value, rest)))
         tie = b("and", b("eq", strength, held), b("lt", carried, who))
         stays = b("or", b("gt", strength, held), tie)
-        changed.append((b("where", stays, carried, who), b("where", stays, amount, kept)))
-        carried, amount = b("where", stays, who, carried), b("where", stays, kept, amount)
+        changed.append((b("where", stays, carried, who), b("where", stays, amount, stored_value)))
+        carried, amount = b("where", stays, who, carried), b("where", stays, stored_value, amount)
         strength = b("where", stays, held, strength)
     names = slot_names(attribute.name, attribute.strongest)
-    for (who_name, value_name), (who, kept) in zip(reversed(names), reversed(changed), strict=True):  # none needs what follows it
+    for (who_name, value_name), (who, stored_value) in zip(
+        reversed(names), reversed(changed), strict=True
+    ):  # none needs what follows it
         held = _hold(w, f"~{attribute.name}.slot", who, s)
-        w.store(value_name, kept, s.span)
+        w.store(value_name, stored_value, s.span)
         w.store(who_name, held, s.span)
 
 

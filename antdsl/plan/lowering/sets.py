@@ -37,8 +37,8 @@ def gather(w: Writer, e: model.SetOf) -> Group | Hits:
     """The set with its condition, ready to be reduced."""
     if e.source == "feelers":
         hits = feel(w, e)
-        kept = tuple(_narrowed(w, hit, e.element, e.where) for hit in hits)
-        return Hits(kept)
+        narrowed_hits = tuple(_narrowed(w, hit, e.element, e.where) for hit in hits)
+        return Hits(narrowed_hits)
     b = w.b
     kind = e.element.type.kind
     if kind not in (model.Kind.ITEM, model.Kind.AGENT):
@@ -79,10 +79,10 @@ def _is_items(w: Writer, name: str) -> bool:
     return thing is not None and thing.kind == "items"
 
 
-def scalar_of_agent(w: Writer, e: model.Expr | None, whole: model.SetOf) -> Node:
+def scalar_of_agent(w: Writer, e: model.Expr | None, set_expr: model.SetOf) -> Node:
     """A size of a set, which may depend on the agent but not on an element of another set."""
     if e is None:
-        raise PlanError(f"a set without its size: {whole.span.text!r}")
+        raise PlanError(f"a set without its size: {set_expr.span.text!r}")
     node = scalar(w, e)
     if node.rate > Rate.AGENT:
         raise NotYet("a set with a size that depends on an element of another set", e.span, "use a size that is the agent's own")
@@ -202,11 +202,11 @@ def cast(w: Writer, direction: Vec, reach: Node, target: str) -> Hit:
 def _narrowed(w: Writer, hit: Hit, element: model.Binding, where: model.Expr | None) -> Hit:
     if where is None:
         return hit
-    holds = bound(w, element, _met(w, hit), lambda: truth(w, where))
+    holds = bound(w, element, _assume_hit(w, hit), lambda: truth(w, where))
     return Hit(w.b("and", hit.hit, holds), hit.distance, hit.normal, hit.direction)
 
 
-def _met(w: Writer, hit: Hit) -> Hit:
+def _assume_hit(w: Writer, hit: Hit) -> Hit:
     """Return the hit for the body of a reduction: it counts as present, because results of misses are dropped afterwards."""
     return Hit(w.b.true, hit.distance, hit.normal, hit.direction)
 
@@ -217,21 +217,21 @@ def _over_hits(w: Writer, e: model.Reduce, over: Hits) -> Value:
     if e.how == "nearest":
         return _hit_with_least(w, over, [hit.distance for hit in over.hits])
     if e.body is None:
-        found = [hit.hit for hit in over.hits]
+        conditions = [hit.hit for hit in over.hits]
     else:
         body_expr = e.body
         lower_body = truth if e.how in ("count", "any", "every") else lower
-        bodies = [bound(w, e.element, _met(w, hit), lambda: lower_body(w, body_expr)) for hit in over.hits]
+        bodies = [bound(w, e.element, _assume_hit(w, hit), lambda: lower_body(w, body_expr)) for hit in over.hits]
         if e.how == "best":
             return _hit_with_least(w, over, [b("neg", body) for body in bodies])  # type: ignore[arg-type]
         if e.how not in ("count", "any", "every"):
             return _number_over_hits(w, e.how, over, bodies)
         if e.how == "every":
             return b.all(*(b("or", b("not", hit.hit), body) for hit, body in zip(over.hits, bodies, strict=True)))  # type: ignore[arg-type]
-        found = [b("and", hit.hit, body) for hit, body in zip(over.hits, bodies, strict=True)]  # type: ignore[arg-type]
+        conditions = [b("and", hit.hit, body) for hit, body in zip(over.hits, bodies, strict=True)]  # type: ignore[arg-type]
     if e.how == "any":
-        return _folded(w, "or", found, b.false)
-    return _folded(w, "add", [b("number", each) for each in found], b.number(0))
+        return _folded(w, "or", conditions, b.false)
+    return _folded(w, "add", [b("number", each) for each in conditions], b.number(0))
 
 
 def _folded(w: Writer, op: str, nodes: list[Node], start: Node) -> Node:

@@ -22,7 +22,7 @@ from antdsl.syntax.words import NUMBER, UNITS
 
 _JOINED = frozenset(("and", "or", "not", "is_some", "is_none", "lt", "le", "gt", "ge", "eq", "ne"))
 _WITH_UNIT = re.compile(rf"(?<![\w.]){NUMBER}[ \t]*({UNITS})")
-_DEEP = 6  # parts of parts of a condition that are noted
+_MAX_DEPTH = 6  # parts of parts of a condition that are noted
 _BOOL = model.Type(model.Kind.BOOL)
 _NUMBER = model.Type(model.Kind.NUMBER)
 
@@ -124,32 +124,32 @@ class NotingWriter(Writer):
         self.notes = notes
 
     def weighed(self, machine: str, number: int, state: model.State, t: model.Transition, fires: Node) -> None:
-        there = len(self.statements)
+        statement_count = len(self.statements)
         condition = None if t.condition is None else self._part(t.condition, _units(t.span))
         holds = None if t.condition is None else truth(self, t.condition)
         take = None if t.take is None or t.take.source.type.kind is model.Kind.FIELD else self._part(t.take.source, [])
         timers = tuple(self._timers(machine, state, t))
-        if len(self.statements) != there:
+        if len(self.statements) != statement_count:
             raise PlanError(f"a note wrote a statement: {t.span.text!r}")
         self.notes.changes.append(ChangeNote(machine, number, state, t, fires, condition, holds, timers, take))
 
     def _timers(self, machine: str, state: model.State, t: model.Transition) -> Iterator[TimerNote]:
         if t.held is not None:
-            before, needs = self.before(f"{t.key}.held"), steps(self, scalar(self, t.held))
-            yield TimerNote("held", before, needs, self.b("ge", before, needs))
-        here = self.read(f"{machine}.time_in_state")
-        if t.after is not None:
-            yield TimerNote("after", here, scalar(self, t.after), passed(self, machine, t.after))
+            held_time, needs = self.read_previous(f"{t.key}.held"), steps(self, scalar(self, t.held))
+            yield TimerNote("held", held_time, needs, self.b("ge", held_time, needs))
+        time_in_state = self.read(f"{machine}.time_in_state")
+        if t.delay is not None:
+            yield TimerNote("after", time_in_state, scalar(self, t.delay), passed(self, machine, t.delay))
         if state.at_least is not None and not t.interrupt:
-            yield TimerNote("at least", here, scalar(self, state.at_least), passed(self, machine, state.at_least))
+            yield TimerNote("at least", time_in_state, scalar(self, state.at_least), passed(self, machine, state.at_least))
 
     def chosen(self, key: str, draw: Node, weights: list[tuple[int, Node]]) -> None:
         self.notes.choices[key] = ChoiceNote(key, draw, tuple(weights))
 
     def layered(self, layer: model.Layer, left: Node, looked: Node, holds: Node, push: values.Vec) -> None:
-        there = len(self.statements)
+        statement_count = len(self.statements)
         condition = None if layer.condition is None else self._part(layer.condition, _units(layer.condition.span))
-        if len(self.statements) != there:
+        if len(self.statements) != statement_count:
             raise PlanError(f"a note wrote a statement: {layer.text!r}")
         self.notes.layers.append(LayerNote(layer, left, looked, condition, holds, (push.x, push.y, push.z)))
 
@@ -161,7 +161,7 @@ class NotingWriter(Writer):
 
     # --- parts -------------------------------------------------------------------------------------------------------
 
-    def _part(self, e: model.Expr, units: list[str], deep: int = 0) -> PartNote | None:
+    def _part(self, e: model.Expr, units: list[str], depth: int = 0) -> PartNote | None:
         """Return an expression with the parts that decide it; None for expressions without a value (a species, a field)."""
         value = lower(self, e)
         text, type = _line(e.span.text), e.type
@@ -177,12 +177,12 @@ class NotingWriter(Writer):
             return PartNote(text, _BOOL, "", (value.hit,), (nearness,))
         if not isinstance(value, Node):
             return PartNote(text, _BOOL, "", (present(self, value, e),))
-        if deep < _DEEP:
-            parts = tuple(self._inner(e, value, units, deep + 1))
+        if depth < _MAX_DEPTH:
+            parts = tuple(self._inner(e, value, units, depth + 1))
         joined = isinstance(e, model.Op) and e.name in _JOINED and bool(parts)
         return PartNote(text, type, _unit(e, units, self.program), (value,), parts, "joined" if joined else "")
 
-    def _inner(self, e: model.Expr, node: Node, units: list[str], deep: int) -> Iterator[PartNote]:
+    def _inner(self, e: model.Expr, node: Node, units: list[str], depth: int) -> Iterator[PartNote]:
         if isinstance(e, model.Op) and e.name == "chance" and node.op == "lt":
             yield PartNote("draw", _NUMBER, "", node.args[:1], role="draw")
             yield PartNote("bar", _NUMBER, "", node.args[1:], role="bar")
@@ -191,7 +191,7 @@ class NotingWriter(Writer):
             outer = self.snapshot
             self.snapshot = outer or (isinstance(e, model.Local) and e.binding.snapshot and not self.born)
             try:
-                part = self._part(inner, written, deep)
+                part = self._part(inner, written, depth)
             finally:
                 self.snapshot = outer
             if part is not None and part.text not in named:

@@ -15,7 +15,7 @@ from antdsl.plan.builder import Builder
 from antdsl.plan.ir import OPS, Block, Kind, Node, Rate, Register, SpeciesPlan, Store
 from antdsl.plan.lowering.actions import complain
 from antdsl.plan.lowering.expressions import lower, scalar, truth
-from antdsl.plan.lowering.lower import DEEP
+from antdsl.plan.lowering.lower import MAX_RECURSION
 from antdsl.plan.lowering.rules import RULES
 from antdsl.plan.lowering.values import Own, Ref, Value, Vec, length
 from antdsl.plan.lowering.writer import NotYet, Writer
@@ -45,12 +45,13 @@ class WholePlan:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class StartPlan:
-    """A number at the start. Of the whole: `value`, passed as `name`; of each agent: register `asked`, stored in `name`."""
+    """A number at the start. Of the whole: `value`, passed as `name`; of each agent: register `source_register`, stored in
+    `name`."""
 
     name: str
     value: Node | None = None
     species: str | None = None
-    asked: str | None = None
+    source_register: str | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -119,8 +120,8 @@ class _Writer(Writer):
         return super()._read(name, snapshot)
 
     def tell(self, e: model.Expr) -> Value:
-        if isinstance(e, expectations.Whole):
-            return self.work.whole(e)
+        if isinstance(e, expectations.Aggregate):
+            return self.work.lower_aggregate(e)
         if isinstance(e, expectations.Measured):
             return self.b("told", attrs=(f"motion.{e.name}",))
         if isinstance(e, expectations.Other):
@@ -147,8 +148,8 @@ class _Writer(Writer):
 
     def plan(self) -> SpeciesPlan:
         decide, act, blend = (Block(tuple(self.blocks[name])) for name in ("decide", "act", "blend"))
-        kept = lazy(decide, act, blend)
-        return SpeciesPlan(self.species.name, self.registers, (), Block(()), decide, act, blend, (), (), kept)
+        lazy_senses = lazy(decide, act, blend)
+        return SpeciesPlan(self.species.name, self.registers, (), Block(()), decide, act, blend, (), (), lazy_senses)
 
 
 class _Work:
@@ -163,8 +164,8 @@ class _Work:
         self.bodily: dict[str, set[str]] = {}
         self.known: dict[model.Expr, Node] = {}
         self.writers: dict[str, _Writer] = {}
-        nobody = model.Layers("budget", (), next(iter(program.species.values())).span)
-        self._nobody = nobody
+        empty_layers = model.Layers("budget", (), next(iter(program.species.values())).span)
+        self._nobody = empty_layers
         self.above = _Writer(self, self._named(""), {})
 
     def _named(self, name: str) -> model.Species:
@@ -191,13 +192,13 @@ class _Work:
 
     # --- wholes and starts -------------------------------------------------------------------------------------------
 
-    def whole(self, e: expectations.Whole) -> Node:
+    def lower_aggregate(self, e: expectations.Aggregate) -> Node:
         """Return the value of a whole; it is evaluated once, however often the rules read the expression."""
         if e not in self.known:
-            self.known[e] = self._whole(e)
+            self.known[e] = self._lower_new_aggregate(e)
         return self.known[e]
 
-    def _whole(self, e: expectations.Whole) -> Node:
+    def _lower_new_aggregate(self, e: expectations.Aggregate) -> Node:
         name, of = f"whole#{len(self.wholes) + 1}", e.over.of or ""
         kind = _KINDS[e.over.kind]
         where = body = amount = None
@@ -213,8 +214,8 @@ class _Work:
                 if kind == "items" and node.op == "snap" and node.attrs[0] in self.lowered.items[of].attributes:
                     amount = node.attrs[0]
         self.wholes.append(WholePlan(name, e.how, kind, of, where, body, amount))
-        told = self.b("told", attrs=(name,))
-        return self.b("ne", told, self.b.number(0)) if e.type.kind is model.Kind.BOOL else told
+        result = self.b("told", attrs=(name,))
+        return self.b("ne", result, self.b.number(0)) if e.type.kind is model.Kind.BOOL else result
 
     def start(self, w: _Writer, e: expectations.AtStart) -> Node:
         """Return the value at the start, of the whole or stored for each agent."""
@@ -228,9 +229,9 @@ class _Work:
         if node.rate <= Rate.STEP:
             self.starts.append(StartPlan(name, value=node))
             return self.b("told", attrs=(name,))
-        asked = w.result("decide", f"{name}.asked", self._sound(w, node, e), e.span)
+        source_register = w.result("decide", f"{name}.asked", self._sound(w, node, e), e.span)
         w.registers[name] = Register(name, Kind.F32, "attribute")
-        self.starts.append(StartPlan(name, species=w.species.name, asked=asked))
+        self.starts.append(StartPlan(name, species=w.species.name, source_register=source_register))
         return self.b("snap", attrs=(name,), kind=Kind.F32)
 
     def other(self, e: expectations.Other) -> Node:
@@ -262,8 +263,8 @@ class _Work:
             time, held = (None if each is None else scalar(self.above, each) for each in (e.time, e.held))
             since: Node | str | None = None
             if e.since is not None:
-                asked = self._sound(w, truth(w, e.since), e.since)
-                since = asked if e.species is None else w.result("act", f"line#{number}.since", asked, e.span)
+                since_node = self._sound(w, truth(w, e.since), e.since)
+                since = since_node if e.species is None else w.result("act", f"line#{number}.since", since_node, e.span)
             readings = [self._reading(w, r, f"line#{number}.{k}") for k, r in enumerate(e.readings)]
         except NotYet as missing:
             complain(w, missing)
@@ -293,20 +294,20 @@ def lower_spec(spec: expectations.Spec, program: model.Program, plan: ir.Plan) -
     """Return what to evaluate for a spec, given the lowered program that it judges; None with a report of what cannot be
     evaluated yet."""
     report = Report()
-    before = sys.getrecursionlimit()
-    sys.setrecursionlimit(max(before, DEEP))
+    previous_limit = sys.getrecursionlimit()
+    sys.setrecursionlimit(max(previous_limit, MAX_RECURSION))
     try:
         work = _Work(program, plan, report)
         duration = None if spec.duration is None else scalar(work.above, spec.duration)
         judgements = [work.judgement(e, n) for n, e in enumerate(spec.expectations, 1)]
     finally:
-        sys.setrecursionlimit(before)
+        sys.setrecursionlimit(previous_limit)
     if not report.ok:
         return None, report
     species = {name: work.of_agents(name).plan() for name in plan.species}
     species |= {name: w.plan() for name, w in work.writers.items() if name not in species}
     judged = replace(plan, species=species, nodes=tuple(work.b.nodes))
-    kept = tuple(j for j in judgements if j is not None)
+    valid_judgements = tuple(j for j in judgements if j is not None)
     bodily = {name: frozenset(names) for name, names in work.bodily.items()}
     wholes, starts, others = tuple(work.wholes), tuple(work.starts), tuple(work.others)
-    return SpecPlan(spec, judged, duration, wholes, starts, kept, others, bodily), report
+    return SpecPlan(spec, judged, duration, wholes, starts, valid_judgements, others, bodily), report

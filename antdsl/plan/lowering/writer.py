@@ -42,7 +42,7 @@ class Rules(NamedTuple):
     operations: Mapping[str, Callable[[Writer, model.Op], values.Value]]
     gather: Callable[[Writer, model.SetOf], values.Value]
     reduce: Callable[[Writer, model.Reduce], values.Value]
-    about: Callable[[Writer, model.AttributeDecl, model.Expr], Node]
+    pair_value: Callable[[Writer, model.AttributeDecl, model.Expr], Node]
     clip: Callable[[Writer, model.ClipTest], Node]
 
 
@@ -106,16 +106,16 @@ class Writer:
 
     def _read(self, name: str, snapshot: bool) -> Node:
         register = self.registers[name]
-        seen = self._stores.get(name, 0)
+        version = self._stores.get(name, 0)
         if self.born:
-            return self.b("load", attrs=(name, seen), kind=register.kind)
+            return self.b("load", attrs=(name, version), kind=register.kind)
         if snapshot or name not in self._written:
             if register.role == "temp":
                 return self.b.zero(register.kind, register.zero)
             return self.b("snap", attrs=(name,), kind=register.kind)
-        return self.b("load", attrs=(name, seen), kind=register.kind)
+        return self.b("load", attrs=(name, version), kind=register.kind)
 
-    def before(self, name: str) -> Node:
+    def read_previous(self, name: str) -> Node:
         """Return the register's value before this step, at any place."""
         if self.born:
             return self.b.zero(self.registers[name].kind, self.registers[name].zero)
@@ -247,13 +247,13 @@ class Writer:
     def alternatives(self, cases: Sequence[tuple[Node, Span | None, Callable[[], None]]]) -> None:
         """Write regions of which at most one applies to an agent. Stores in one are not visible in the others."""
         entered = set(self._written)
-        after = set(entered)
+        all_written = set(entered)
         for condition, span, write in cases:
             self._written = set(entered)
             with self.region(condition, span):
                 write()
-            after |= self._written
-        self._written = after
+            all_written |= self._written
+        self._written = all_written
 
     def run(self, name: str) -> Node:
         """A value of the run."""

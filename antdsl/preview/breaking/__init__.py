@@ -70,8 +70,8 @@ class Breakpoints:
         self._fit(session)
 
     def message(self) -> dict[str, Any]:
-        told = [(each.ask.model_dump(), _told(each.why)) for each in self.breaks]
-        return {"op": "breaks", "breaks": [{"made": made, "why": why} for made, why in told]}
+        reasons = [(each.ask.model_dump(), _reason_text(each.why)) for each in self.breaks]
+        return {"op": "breaks", "breaks": [{"made": ask_fields, "why": why} for ask_fields, why in reasons]}
 
     def entered(self, session: Session) -> None:
         """Build them again for another program, so that misfits are reported at once."""
@@ -92,11 +92,11 @@ class Breakpoints:
             return None  # none waits, or the step led into another program: that is looked at before the next
         looked = [each.waits.look(session) for each in self.breaks if each.waits is not None]
         self._seen = session.world, session.frame
-        met = [stop for stop in looked if stop is not None]
-        if not met:
+        stops = [stop for stop in looked if stop is not None]
+        if not stops:
             return None
-        about = next((stop for stop in met if stop.agents), met[0])
-        return replace(about, line=" · ".join(stop.line for stop in met))
+        first_stop = next((stop for stop in stops if stop.agents), stops[0])
+        return replace(first_stop, line=" · ".join(stop.line for stop in stops))
 
     def _is_seen(self, session: Session) -> bool:
         return self._seen is not None and self._seen[0] is session.world and self._seen[1] == session.frame
@@ -107,12 +107,12 @@ class Breakpoints:
             try:
                 each.waits, each.why = KINDS[type(each.ask)](session, each.ask, self.specs), None
             except Misfit as why:
-                told, each.waits, each.why = _told(each.why), None, why
-                if told == _told(why):
+                old_reason, each.waits, each.why = _reason_text(each.why), None, why
+                if old_reason == _reason_text(why):
                     continue
                 self.tell({"op": "refused", "of": "breaks", "message": f"{words(each.ask)}: {why.message}", "help": why.help})
         self.tell(self.message())
 
 
-def _told(why: Misfit | None) -> str:
+def _reason_text(why: Misfit | None) -> str:
     return "" if why is None else f"{why.message}: {why.help}" if why.help else why.message

@@ -17,8 +17,8 @@ from antdsl.preview.requests import ConditionBreak
 from antdsl.preview.session import Session
 from antdsl.runtime import World
 from antdsl.source import Source
-from antdsl.specs.queries import Asker
-from antdsl.specs.value_text import shown
+from antdsl.specs.queries import Questioner
+from antdsl.specs.value_text import format_value
 from antdsl.syntax import nodes, parse
 
 _EACH = re.compile(r"\s*each\s+([A-Za-z_]\w*)\s*:(.*)", re.DOTALL)
@@ -33,19 +33,19 @@ class ConditionWaits:
         self.text = " ".join(ask.text.split())
         self.plan = condition_plan(session.shot, ask.text)
         [self.line] = self.plan.judgements
-        self.asker: Asker | None = None
+        self.asker: Questioner | None = None
         self.held: NDArray[np.int64] = np.zeros(0, np.int64)  # ids for which it held; 0 alone where it is about the whole
 
     def begin(self, session: Session) -> None:
-        self.asker = Asker(self.plan, session.world)
+        self.asker = Questioner(self.plan, session.world)
         self.held = self._holds(self.asker, session.world)
 
     def look(self, session: Session) -> Stop | None:
         if self.asker is None:
             self.begin(session)
             return None
-        before, self.held = self.held, self._holds(self.asker, session.world)
-        new = np.setdiff1d(self.held, before)
+        previous, self.held = self.held, self._holds(self.asker, session.world)
+        new = np.setdiff1d(self.held, previous)
         if not len(new):
             return None
         if self.line.species is None:
@@ -54,22 +54,22 @@ class ConditionWaits:
         text = self.text.partition(":")[2].strip()
         return Stop(f"{named(self.line.species, ids[:MOST])}: {text} at frame {session.frame}", self.line.species, ids[:MOST])
 
-    def _holds(self, asker: Asker, world: World) -> NDArray[np.int64]:
-        there = asker.ask(world, {})
+    def _holds(self, evaluator: Questioner, world: World) -> NDArray[np.int64]:
+        judged_world = evaluator.ask(world, {})
         if self.line.species is None:
             assert not isinstance(self.line.condition, str)
-            return np.zeros(int(bool(asker.value(world, self.line.condition))), np.int64)
-        judged = there.populations[self.line.species]
+            return np.zeros(int(bool(evaluator.value(world, self.line.condition))), np.int64)
+        judged = judged_world.populations[self.line.species]
         assert isinstance(self.line.condition, str)
         return judged.ids[judged.now[self.line.condition].astype(np.bool_)]
 
-    def _values(self, asker: Asker, world: World) -> str:
-        found = []
+    def _values(self, evaluator: Questioner, world: World) -> str:
+        readings = []
         for reading in self.line.readings:
             if reading.node is not None:
-                value = shown(world, asker.value(world, reading.node), reading.type, reading.unit)
-                found.append(f"{' '.join(reading.span.text.split())} is {value}")
-        return f" ({', '.join(dict.fromkeys(found))})" if found else ""
+                value = format_value(world, evaluator.value(world, reading.node), reading.type, reading.unit)
+                readings.append(f"{' '.join(reading.span.text.split())} is {value}")
+        return f" ({', '.join(dict.fromkeys(readings))})" if readings else ""
 
 
 def condition_plan(shot: Shot, text: str) -> SpecPlan:
@@ -111,12 +111,12 @@ def _is_one_line(file: nodes.File) -> bool:
     return len(lines) == 1 and lines[0].kind == "never" and lines[0].held is None
 
 
-def _demand(report: Report, whole: str = "") -> None:
+def _demand(report: Report, suggestion: str = "") -> None:
     """Raise Misfit with the first error about the text. The program itself has none, and a file of nothing but a spec is no
-    mistake here. `whole`: what to write instead of a condition on the whole that only applies to an agent."""
+    mistake here. `suggestion`: what to write instead of a condition on the whole that only applies to an agent."""
     for error in report.sorted():
         if error.severity == "error" and error.code != "empty-program":
             help = (error.help or "").replace("never: ", "")
-            if whole and error.code in ("wrong-rate", "unknown-name") and not help.startswith("did you mean"):
-                help = whole
+            if suggestion and error.code in ("wrong-rate", "unknown-name") and not help.startswith("did you mean"):
+                help = suggestion
             raise Misfit(error.message, help)

@@ -36,8 +36,8 @@ class StateWaits:
 
     def look(self, session: Session) -> Stop | None:
         population = session.world.populations[self.ask.species]
-        there = population.ids[population.now[f"{self.ask.machine}.state"] == self.state]
-        entered = np.intersect1d(there, self.others)
+        ids_in_state = population.ids[population.now[f"{self.ask.machine}.state"] == self.state]
+        entered = np.intersect1d(ids_in_state, self.others)
         self.begin(session)
         if not len(entered):
             return None

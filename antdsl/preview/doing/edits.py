@@ -14,26 +14,26 @@ if TYPE_CHECKING:
 
 def set_value(live: Live, ask: requests.Set, client: Client) -> None:
     live.be_exact()
-    _told(live, "set", live.session.set(ask.name, ask.value), scene_file(live))
+    _report_outcome(live, "set", live.session.set(ask.name, ask.value), scene_file(live))
 
 
 def layer(live: Live, ask: requests.Layer, client: Client) -> None:
     live.be_exact()
     plan = live.session.shot.plan.species.get(ask.species)
-    found = next((each for each in plan.layers if each.span.text == ask.layer), None) if plan is not None else None
-    file = live.screen.names.of(found.span.source.path) if found is not None else ""
-    _told(live, "layer", live.session.layer(ask.species, ask.layer, ask.on), file)
+    layer_plan = next((each for each in plan.layers if each.span.text == ask.layer), None) if plan is not None else None
+    file = live.screen.names.of(layer_plan.span.source.path) if layer_plan is not None else ""
+    _report_outcome(live, "layer", live.session.layer(ask.species, ask.layer, ask.on), file)
 
 
 def field(live: Live, ask: requests.Field_, client: Client) -> None:
     live.be_exact()
-    _told(live, "field", live.session.field(ask.name, ask.on), scene_file(live))
+    _report_outcome(live, "field", live.session.field(ask.name, ask.on), scene_file(live))
 
 
 def reload(live: Live, ask: requests.Reload, client: Client) -> None:
     live.reload("reload")
 
 
-def _told(live: Live, of: str, done: Outcome, file: str) -> None:
-    live.tell_all(outcome(live, of, done, file if done.text else ""))
+def _report_outcome(live: Live, of: str, result: Outcome, file: str) -> None:
+    live.tell_all(outcome(live, of, result, file if result.text else ""))
     live.screen.edited(files=False)

@@ -45,7 +45,7 @@ def seek(live: Live, ask: requests.Seek, client: Client) -> None:
 def restart(live: Live, ask: requests.Restart, client: Client) -> None:
     live.pause()
     live.show_light(live.session.frame)
-    done = live.session.restart()
-    live.took(done.report)
-    live.tell_all(outcome(live, "restart", done))
+    result = live.session.restart()
+    live.took(result.report)
+    live.tell_all(outcome(live, "restart", result))
     live.screen.edited(files=True)

@@ -10,14 +10,14 @@ from typing import Any
 import numpy as np
 
 from antdsl.diagnostics.suggestion import nearest_name
-from antdsl.explain import Account, ExplainError, Replay, absent, as_json, placed_accounts, stretches, tell
+from antdsl.explain import ExplainError, LocatedExplanation, Replay, absent, as_json, locate_explanations, stretches, tell
 from antdsl.explain.model import Stretch as StateStretch
 from antdsl.pipeline import Shot
 from antdsl.preview.session import Session
 from antdsl.preview.timeline import Arrays, Change, Stretch
 from antdsl.runtime import World, checkpoint
 
-_KEPT = 2  # stretches with cached replays: before and after an edit
+_CACHED_STRETCHES = 2  # stretches with cached replays: before and after an edit
 
 
 @dataclass(slots=True, eq=False)
@@ -42,8 +42,8 @@ class StretchHistory:
     def hash(self, frame: int) -> str | None:
         """Return the hash of the session's current frame, None for other frames. Also None if a param was set there, because it
         takes effect in the next step."""
-        here = self.session.timeline.at(frame) is self.stretch and self.session.frame == frame
-        return self.session.hash if here and all(change.frame != frame for change in self.stretch.changes) else None
+        is_current = self.session.timeline.at(frame) is self.stretch and self.session.frame == frame
+        return self.session.hash if is_current and all(change.frame != frame for change in self.stretch.changes) else None
 
     def before_step(self, world: World) -> None:
         self.stretch.before_step(world)
@@ -62,7 +62,7 @@ class Explainer:
         self.session = session
         self._replays: list[tuple[Stretch, tuple[Change, ...], Replay]] = []
 
-    def explain(self, agents: Sequence[tuple[str, int]], frame: int) -> list[Account | None]:
+    def explain(self, agents: Sequence[tuple[str, int]], frame: int) -> list[LocatedExplanation | None]:
         """Return what agents (species, id) did in the step to a frame, with their states over time; None for an agent that did
         nothing in it. Raises ExplainError if that is unknown."""
         replay = self._replay(frame)
@@ -73,27 +73,27 @@ class Explainer:
         if frame - 1 not in history.near:  # requests for other agents soon follow the first
             history.near = {frame - 1: checkpoint(replay.begin(frame))}
         return [
-            None if found is None else replace(found, explanation=self._with_strip(found))
-            for found in placed_accounts(replay, frame, agents)
+            None if account is None else replace(account, explanation=self._with_strip(account))
+            for account in locate_explanations(replay, frame, agents)
         ]
 
     def message(self, species: str, agent: int, frame: int, named: Callable[[str], str] = str) -> dict[str, Any]:
         """Return the message for a page that requests one agent. `named`: what files are called there."""
-        found, why = None, ""
+        account, why = None, ""
         try:
-            [found] = self.explain([(species, agent)], frame)
-            if found is None:
+            [account] = self.explain([(species, agent)], frame)
+            if account is None:
                 why = _words(absent(self._replay(frame), species, agent, frame))
         except ExplainError as error:
             why = _words(error)
-        about = {"op": "explained", "species": species, "agent": agent, "frame": frame, "message": why}
-        if found is None:
-            return about | {"explanation": None, "told": "", "place": None, "neighbours": []}
-        return about | {
-            "explanation": _renamed(as_json(found.explanation), named),
-            "told": tell(found.explanation),
-            "place": list(found.place),
-            "neighbours": [list(place) for place in found.neighbours],
+        reply = {"op": "explained", "species": species, "agent": agent, "frame": frame, "message": why}
+        if account is None:
+            return reply | {"explanation": None, "told": "", "place": None, "neighbours": []}
+        return reply | {
+            "explanation": _renamed(as_json(account.explanation), named),
+            "told": tell(account.explanation),
+            "place": list(account.place),
+            "neighbours": [list(place) for place in account.neighbours],
         }
 
     def _replay(self, frame: int) -> Replay:
@@ -102,28 +102,28 @@ class Explainer:
         if frame == first:
             raise ExplainError(f"frame {frame} is the first: no step led to it", f"ask at frame {frame + 1}, or later")
         if not first < frame <= head:
-            kept = f"there is {first + 1} to {head} to explain" if head > first else "no step was simulated so far"
-            raise ExplainError(f"frame {frame} was not simulated, or is forgotten", kept)
+            stored = f"there is {first + 1} to {head} to explain" if head > first else "no step was simulated so far"
+            raise ExplainError(f"frame {frame} was not simulated, or is forgotten", stored)
         stretch = self.session.timeline.at(frame - 1)
         key = tuple(stretch.changes)
-        self._replays = [kept for kept in self._replays if kept[0] in self.session.timeline.stretches]
+        self._replays = [stored for stored in self._replays if stored[0] in self.session.timeline.stretches]
         for known, changes, replay in self._replays:
             if known is stretch and changes == key:
                 return replay
         replay = Replay(StretchHistory(self.session, stretch))
-        self._replays = [kept for kept in self._replays if kept[0] is not stretch][1 - _KEPT :]
+        self._replays = [stored for stored in self._replays if stored[0] is not stretch][1 - _CACHED_STRETCHES :]
         self._replays.append((stretch, key, replay))
         return replay
 
-    def _with_strip(self, found: Account) -> Any:
-        told = found.explanation
-        strip = tuple(self._strip(told.species, told.agent))
-        alive = (min(each.first for each in strip), max(each.last for each in strip)) if strip else None
-        return replace(told, strip=strip, alive=alive)
+    def _with_strip(self, account: LocatedExplanation) -> Any:
+        explanation = account.explanation
+        state_strip = tuple(self._state_stretches(explanation.species, explanation.agent))
+        alive = (min(each.first for each in state_strip), max(each.last for each in state_strip)) if state_strip else None
+        return replace(explanation, strip=state_strip, alive=alive)
 
-    def _strip(self, species: str, agent: int) -> Iterator[StateStretch]:
+    def _state_stretches(self, species: str, agent: int) -> Iterator[StateStretch]:
         """Yield the agent's states in all remembered frames, machine after machine."""
-        seen: dict[str, list[tuple[int, str]]] = {}
+        frames_by_machine: dict[str, list[tuple[int, str]]] = {}
         for frame, light in sorted(self.session.timeline.light.items()):
             if species not in light:
                 continue
@@ -131,8 +131,8 @@ class Explainer:
             plan = self.session.timeline.at(frame).shot.plan.species.get(species)
             for machine in plan.machines if plan is not None and len(rows) else ():
                 state = machine.states[int(light[species].states[machine.name][rows[0]])]
-                seen.setdefault(machine.name, []).append((frame, state))
-        for name, frames in seen.items():
+                frames_by_machine.setdefault(machine.name, []).append((frame, state))
+        for name, frames in frames_by_machine.items():
             yield from stretches(name, frames)
 
 

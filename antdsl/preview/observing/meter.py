@@ -53,21 +53,21 @@ class Costs:
         now = monotonic()
         if session.meter is None or now - self._told_at < _EVERY:
             return
-        found = session.meter.profile()
-        if found.frames:
+        profile = session.meter.profile()
+        if profile.frames:
             self._told_at = now
-            told = message(found, self._live.screen.names)
+            packet = message(profile, self._live.screen.names)
             for client in self._asked:
-                client.tell(told)
+                client.tell(packet)
 
 
-def message(found: Profile, names: Names) -> dict[str, Any]:
+def message(profile: Profile, names: Names) -> dict[str, Any]:
     """A profile as pages read it."""
     return {
         "op": "profile",
-        "frames": found.frames,
-        "total": round(found.total, 4),
-        "phases": [{"name": name, "ms": round(ms, 4)} for name, ms in found.phases.items()],
+        "frames": profile.frames,
+        "total": round(profile.total, 4),
+        "phases": [{"name": name, "ms": round(ms, 4)} for name, ms in profile.phases.items()],
         "layers": [
             {
                 "species": each.species,
@@ -76,11 +76,11 @@ def message(found: Profile, names: Names) -> dict[str, Any]:
                 "line": each.span.source.line_column(each.span.start)[0],
                 "ms": round(each.ms, 4),
             }
-            for each in found.layers
+            for each in profile.layers
         ],
         "lines": [
             {"file": names.of(each.file), "line": each.line, "text": each.text, "ms": round(each.ms, 4)}
-            for each in found.lines
+            for each in profile.lines
             if each.ms >= _LEAST
         ],
     }

@@ -45,7 +45,7 @@ class Notes:
         """What comes is said after the step."""
 
     def stepped(self, session: Session) -> Stop | None:
-        for sentence in session.world.backend.told():
+        for sentence in session.world.backend.messages():
             if sentence not in self._said:
                 self._said.add(sentence)
                 print(sentence, file=sys.stderr, flush=True)

@@ -48,7 +48,7 @@ class Judged:
             "holds": None if self.judge is None else failed is None,
             "since": None if self.judge is None else self.judge.first,
             "frame": None if failed is None else failed.frame,
-            "message": self.why if failed is None else told(failed),
+            "message": self.why if failed is None else describe_failure(failed),
             "species": failed.agent[0] if failed is not None and failed.agent is not None else "",
             "agents": [] if failed is None else list(failed.agents),
         }
@@ -120,12 +120,12 @@ class Specs:
 
     def _begin(self, session: Session, which: Callable[[Judged], bool]) -> list[Judged]:
         """Judge, from this frame on, the matching specs that are not judged yet and can be."""
-        begun = [each for each in self.judged if each.judge is None and each.plan is not None and which(each)]
-        for each in begun:
+        candidates = [each for each in self.judged if each.judge is None and each.plan is not None and which(each)]
+        for each in candidates:
             assert each.plan is not None
             each.judge = Judge(each.plan, session.world, session.shot.frames.last)
             each.why, each.seconds, each.frames = "", 0.0, 0
-        return begun
+        return candidates
 
     def _look(self, each: Judged, world: World) -> None:
         if each.judge is not None and not each.judge.over:
@@ -180,11 +180,11 @@ def _why_not(spec: Spec, shot: Shot, scene: Path) -> str:
     return ""
 
 
-def told(failure: Failure) -> str:
+def describe_failure(failure: Failure) -> str:
     """Return a failure in one line: what was not so, for which agent, with the values."""
-    whom = ""
+    agent_text = ""
     if failure.agent is not None:
-        more = f" and {failure.others} more" if failure.others else ""
-        whom = f", {failure.agent[0]} {failure.agent[1]}{more}"
+        others_text = f" and {failure.others} more" if failure.others else ""
+        agent_text = f", {failure.agent[0]} {failure.agent[1]}{others_text}"
     values = ", ".join(f"{text} is {value}" for text, value in failure.values)
-    return f"{failure.message}{whom}" + (f" ({values})" if values else "")
+    return f"{failure.message}{agent_text}" + (f" ({values})" if values else "")

@@ -39,109 +39,111 @@ class Listening:
 
 def is_loopback(host: str | None) -> bool:
     """Return whether only this machine can reach a host. Raises CannotListen if the host is unknown."""
-    return host is None or all(ip_address(each).is_loopback for each in _found(host))
+    return host is None or all(ip_address(each).is_loopback for each in _resolve_host(host))
 
 
 def listen(host: str | None = None, port: int | None = None) -> Listening:
     """Bind sockets on the loopback interface, or at `host`. Without `port`, use the first free one from 8765 on; 0 takes any.
     Raises CannotListen if a named port is taken, or if this machine does not have the host."""
-    places = _LOOPBACK if host is None else _found(host)
+    addresses = _LOOPBACK if host is None else _resolve_host(host)
     for candidate in (port,) if port is not None else range(PORT, PORT + _NEXT):
         try:
-            sockets, taken = _bound(places, candidate)
+            sockets, taken = _bound(addresses, candidate)
         except OSError as why:
             if why.errno == errno.EADDRINUSE and port is None:
                 continue
             raise CannotListen(_words(why, host, candidate)) from None
-        names = [_in_address(name) for name in _names(host, places)]
-        shown = [_in_address(name) for name in _open(host, places, sockets)]
+        names = [_in_address(name) for name in _names(host, addresses)]
+        display_names = [_in_address(name) for name in _open(host, addresses, sockets)]
         return Listening(
-            sockets, frozenset(f"{name}:{taken}" for name in names), tuple(f"http://{name}:{taken}/" for name in shown)
+            sockets, frozenset(f"{name}:{taken}" for name in names), tuple(f"http://{name}:{taken}/" for name in display_names)
         )
     raise CannotListen(f"the ports {PORT} to {PORT + _NEXT - 1} are all taken")
 
 
-def _bound(places: Iterable[str], port: int) -> tuple[tuple[socket.socket, ...], int]:
+def _bound(addresses: Iterable[str], port: int) -> tuple[tuple[socket.socket, ...], int]:
     """Return sockets at all addresses, on one port, and the port. An address that this machine lacks is left out if there is
     another. One that another program holds is an error, or `localhost` would lead to that program."""
-    made: list[socket.socket] = []
+    sockets: list[socket.socket] = []
     absent: OSError | None = None
     try:
-        for place in places:
+        for place in addresses:
             try:
-                made.append(_socket(place, port))
+                sockets.append(_socket(place, port))
             except OSError as why:
                 if why.errno not in _ABSENT:
                     raise
                 absent = why
             else:
-                port = made[-1].getsockname()[1]
-        if not made:
+                port = sockets[-1].getsockname()[1]
+        if not sockets:
             raise absent or OSError(errno.EADDRNOTAVAIL, "no such address")
     except OSError:
-        for each in made:
+        for each in sockets:
             each.close()
         raise
-    return tuple(made), port
+    return tuple(sockets), port
 
 
 def _socket(place: str, port: int) -> socket.socket:
     six = ":" in place
-    made = socket.socket(socket.AF_INET6 if six else socket.AF_INET, socket.SOCK_STREAM)
+    server_socket = socket.socket(socket.AF_INET6 if six else socket.AF_INET, socket.SOCK_STREAM)
     try:
         if sys.platform == "win32":
-            made.setsockopt(socket.SOL_SOCKET, socket.SO_EXCLUSIVEADDRUSE, 1)
+            server_socket.setsockopt(socket.SOL_SOCKET, socket.SO_EXCLUSIVEADDRUSE, 1)
         else:
-            made.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)  # not to wait for what an earlier server left behind
+            server_socket.setsockopt(
+                socket.SOL_SOCKET, socket.SO_REUSEADDR, 1
+            )  # not to wait for what an earlier server left behind
         if six:
-            made.setsockopt(socket.IPPROTO_IPV6, socket.IPV6_V6ONLY, 1)
-        made.bind((place, port))
-        made.listen()  # until then another server may bind the same port
+            server_socket.setsockopt(socket.IPPROTO_IPV6, socket.IPV6_V6ONLY, 1)
+        server_socket.bind((place, port))
+        server_socket.listen()  # until then another server may bind the same port
     except OSError:
-        made.close()
+        server_socket.close()
         raise
-    return made
+    return server_socket
 
 
-def _found(host: str) -> tuple[str, ...]:
+def _resolve_host(host: str) -> tuple[str, ...]:
     """The addresses of a host, as numbers."""
     try:
-        found = socket.getaddrinfo(host, None, type=socket.SOCK_STREAM)
+        entries = socket.getaddrinfo(host, None, type=socket.SOCK_STREAM)
     except (OSError, UnicodeError):
         raise CannotListen(f"there is no host `{host}`") from None
-    return tuple(dict.fromkeys(str(each[4][0]) for each in found))
+    return tuple(dict.fromkeys(str(each[4][0]) for each in entries))
 
 
-def _names(host: str | None, places: Iterable[str]) -> list[str]:
+def _names(host: str | None, addresses: Iterable[str]) -> list[str]:
     """Return names that lead to this server and to no other: the requested one, and its addresses. A server that listens at every
     address is also called by each address and name of the machine. A name that an attacker may choose is not among them."""
     if host is None:
         return ["localhost", *_LOOPBACK]
-    places = list(places)
-    if any(ip_address(each).is_unspecified for each in places):
+    addresses = list(addresses)
+    if any(ip_address(each).is_unspecified for each in addresses):
         return ["localhost", *_LOOPBACK, socket.gethostname().lower(), *_machine()]
-    return [host.lower(), *places]
+    return [host.lower(), *addresses]
 
 
-def _open(host: str | None, places: Iterable[str], sockets: Iterable[socket.socket]) -> list[str]:
+def _open(host: str | None, addresses: Iterable[str], sockets: Iterable[socket.socket]) -> list[str]:
     if host is None:
         return [str(each.getsockname()[0]) for each in sockets][:1]
-    if any(ip_address(each).is_unspecified for each in places):
-        return [*_machine(), "127.0.0.1" if "0.0.0.0" in places else "::1"]
+    if any(ip_address(each).is_unspecified for each in addresses):
+        return [*_machine(), "127.0.0.1" if "0.0.0.0" in addresses else "::1"]
     return [host.lower()]
 
 
 def _machine() -> list[str]:
     """Return addresses at which others reach this machine: those of its host name, and those that it would send from."""
-    found: list[str] = []
+    addresses: list[str] = []
     with suppress(OSError, UnicodeError):
-        found += [str(each[4][0]) for each in socket.getaddrinfo(socket.gethostname(), None, type=socket.SOCK_STREAM)]
+        addresses += [str(each[4][0]) for each in socket.getaddrinfo(socket.gethostname(), None, type=socket.SOCK_STREAM)]
     for family, far in ((socket.AF_INET, "192.0.2.1"), (socket.AF_INET6, "2001:db8::1")):
         # connecting a datagram socket sends nothing: it only chooses the way out
         with suppress(OSError), socket.socket(family, socket.SOCK_DGRAM) as probe:
             probe.connect((far, 9))
-            found.append(str(probe.getsockname()[0]))
-    return [each for each in dict.fromkeys(found) if "%" not in each and not ip_address(each).is_loopback]
+            addresses.append(str(probe.getsockname()[0]))
+    return [each for each in dict.fromkeys(addresses) if "%" not in each and not ip_address(each).is_loopback]
 
 
 def _in_address(name: str) -> str:

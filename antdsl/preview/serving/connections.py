@@ -13,7 +13,7 @@ from websockets.frames import Frame, Opcode
 from antdsl import limits
 
 
-class Door:
+class ConnectionGate:
     """All connections of a server. Of those that are not admitted yet only the newest stay. A client that opens thousands and
     sends nothing displaces its own, and not the page that authenticates in time."""
 
@@ -36,7 +36,7 @@ class Door:
     def is_invited(self, connection: ServerConnection) -> bool:
         return isinstance(connection, Connection) and self._in.get(connection, False)
 
-    def came(self, connection: Connection) -> None:
+    def add(self, connection: Connection) -> None:
         self._waiting[connection] = None
         if len(self._waiting) > limits.PREVIEW_STRANGERS:
             oldest = next(iter(self._waiting))
@@ -47,7 +47,7 @@ class Door:
         for each in (*self._waiting, *self._in):
             each.transport.abort()
 
-    def went(self, connection: Connection) -> None:
+    def remove(self, connection: Connection) -> None:
         self._waiting.pop(connection, None)
         self._in.pop(connection, None)
 
@@ -56,18 +56,18 @@ class Connection(ServerConnection):
     """A connection that is closed if the client sends frames too fast (pings included) or splits a message into too many
     fragments. Fragments may be empty, so a byte limit alone does not bound them."""
 
-    def __init__(self, door: Door, *args: Any, **options: Any) -> None:
+    def __init__(self, gate: ConnectionGate, *args: Any, **options: Any) -> None:
         super().__init__(*args, **options)
-        self._door = door
+        self._door = gate
         self._frames = Bucket(limits.PREVIEW_FRAMES_A_SECOND, 2 * limits.PREVIEW_FRAMES_A_SECOND)
         self._pieces = 0
 
     def connection_made(self, transport: Any) -> None:
         super().connection_made(transport)
-        self._door.came(self)
+        self._door.add(self)
 
     def connection_lost(self, exc: Exception | None) -> None:
-        self._door.went(self)
+        self._door.remove(self)
         super().connection_lost(exc)
 
     def process_event(self, event: Any) -> None:

@@ -23,7 +23,7 @@ from hashlib import sha256
 from pathlib import Path
 
 from antdsl.user_folders import make_private_folder, read_private, state_folder
-from antdsl.whole import write_whole
+from antdsl.whole import write_atomically
 
 _STARTS = 4  # with stored keys
 _FILES = 64  # of scenes and ports; the oldest go
@@ -35,10 +35,10 @@ _TOKEN = "token."
 
 @dataclass(frozen=True, slots=True)
 class Returning:
-    """`key` is for pages that are let in now, `before` has those of earlier starts."""
+    """`key` is for pages that are let in now, `previous_keys` has those of earlier starts."""
 
     key: str = field(repr=False)
-    before: tuple[str, ...] = field(default=(), repr=False)
+    previous_keys: tuple[str, ...] = field(default=(), repr=False)
 
     @classmethod
     def of(cls, scene: Path, port: int, folder: Path | None = None) -> Returning | None:
@@ -48,35 +48,35 @@ class Returning:
             folder = folder or state_folder() / "antdsl" / "preview"
             make_private_folder(folder)
             place = folder / f"{name}.json"
-            made = cls(secrets.token_urlsafe(32), _read(place))
-            _write(place, [made.key, *made.before][:_STARTS])
+            returning = cls(secrets.token_urlsafe(32), _read(place))
+            _write(place, [returning.key, *returning.previous_keys][:_STARTS])
         except OSError:  # no such folder, not ours alone, or no home
             return None
-        return made
+        return returning
 
     def proves(self, answer: str | bytes, host: str, nonce: str) -> bool:
         """Whether an answer to `nonce` comes from a page that was let in before, at this very name and port: another server
         cannot hand it on."""
         if not isinstance(answer, str):
             return False
-        given = answer.encode("utf-8", "replace")
+        answer_bytes = answer.encode("utf-8", "replace")
         words = f"antdsl return\n{host}\n{nonce}".encode()
-        proofs = [hmac.new(key.encode(), words, "sha256").hexdigest().encode() for key in self.before]
-        return any([hmac.compare_digest(given, proof) for proof in proofs])  # all of them, in the same time
+        proofs = [hmac.new(key.encode(), words, "sha256").hexdigest().encode() for key in self.previous_keys]
+        return any([hmac.compare_digest(answer_bytes, proof) for proof in proofs])  # all of them, in the same time
 
 
 def _read(place: Path) -> tuple[str, ...]:
     """The keys in a file; none of one that is anything but a small private file of keys."""
     try:
-        found = list(json.loads(read_private(place, _BYTES))["keys"])
+        keys = list(json.loads(read_private(place, _BYTES))["keys"])
     except (OSError, ValueError, TypeError, KeyError, RecursionError):
         return ()
-    return tuple(key for key in found if isinstance(key, str) and _KEY.fullmatch(key))[:_STARTS]
+    return tuple(key for key in keys if isinstance(key, str) and _KEY.fullmatch(key))[:_STARTS]
 
 
 def _write(place: Path, keys: Sequence[str]) -> None:
     """Write the keys atomically, readable by the file's owner only."""
-    write_whole(place, json.dumps({"keys": list(keys)}).encode("ascii"), mode=0o600)
+    write_atomically(place, json.dumps({"keys": list(keys)}).encode("ascii"), mode=0o600)
     with suppress(OSError):
         files = sorted(place.parent.glob("*.json"), key=lambda each: each.lstat().st_mtime)
         for old in files[:-_FILES]:
@@ -107,16 +107,16 @@ class Guard:
         self._codes.add(code)
         return code
 
-    def host(self, given: Sequence[str]) -> bool:
+    def host(self, headers: Sequence[str]) -> bool:
         """Return whether a request's `Host` headers are valid: exactly one, equal to one of the names."""
-        return len(given) == 1 and given[0] in self.names
+        return len(headers) == 1 and headers[0] in self.names
 
-    def origin(self, given: Sequence[str]) -> bool | None:
+    def origin(self, headers: Sequence[str]) -> bool | None:
         """Return whether a request's page is this server's; None if no page is named. `null` is not a name: pages from files and
         sandboxes send it."""
-        if not given:
+        if not headers:
             return None
-        return len(given) == 1 and given[0].removeprefix("http://") in self.names and given[0].startswith("http://")
+        return len(headers) == 1 and headers[0].removeprefix("http://") in self.names and headers[0].startswith("http://")
 
     def page(self, hosts: Sequence[str], origins: Sequence[str]) -> bool:
         """Return whether the page may be loaded. It holds no secret, so no token is needed."""

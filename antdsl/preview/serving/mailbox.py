@@ -69,28 +69,28 @@ class Mailbox:
             if self._closed:
                 return
             self._packets += len(packet)
-            here, past = self._waiting.get(slot), self._before.pop(slot, None)
+            waiting, past = self._waiting.get(slot), self._before.pop(slot, None)
             if past is not None:
                 self._packets -= len(past.packet or b"")
                 past.packet = None
-            if here is not None:
-                self._packets -= len(here.packet or b"")
-                here.packet = packet
+            if waiting is not None:
+                self._packets -= len(waiting.packet or b"")
+                waiting.packet = packet
             else:
-                self._waiting[slot] = made = _Waiting(slot, packet)
-                self._queue.append(made)
+                self._waiting[slot] = new_item = _Waiting(slot, packet)
+                self._queue.append(new_item)
             self._look()
 
     async def next(self) -> str | bytes:
         """Return the next message or packet to send; wait for one if there is none. For one reader, on the event loop."""
         while True:
             with self._lock:
-                found = self._take()
-                if found is None:
+                item = self._take()
+                if item is None:
                     self._woken = False
                     self._there.clear()
-            if found is not None:
-                return found
+            if item is not None:
+                return item
             await self._there.wait()
 
     def close(self) -> None:

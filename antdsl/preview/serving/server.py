@@ -27,7 +27,7 @@ from antdsl import limits
 from antdsl.preview.live import Busy, Client
 from antdsl.preview.requests import ASK, Ask
 from antdsl.preview.serving.addresses import Listening
-from antdsl.preview.serving.connections import Bucket, Door
+from antdsl.preview.serving.connections import Bucket, ConnectionGate
 from antdsl.preview.serving.guard import PROTOCOL, Guard, Verdict
 from antdsl.preview.serving.mailbox import Mailbox
 from antdsl.preview.serving.pages import Pages
@@ -112,7 +112,7 @@ class Server:
 
     def __init__(self, live: Answers, guard: Guard, pages: Pages, listening: Listening) -> None:
         self._live, self._guard, self._pages, self._listening = live, guard, pages, listening
-        self._door = Door()
+        self._door = ConnectionGate()
         self._clients: set[ServerConnection] = set()
         self._closing: set[asyncio.Task[None]] = set()
 
@@ -160,8 +160,8 @@ class Server:
             if verdict in (Verdict.IN, Verdict.INVITED):
                 self._door.let_in(connection, invited=verdict is Verdict.INVITED)
             return None
-        found = self._pages.routes.get(request.path)
-        return _answer(HTTPStatus.NOT_FOUND) if found is None else _answer(HTTPStatus.OK, *found)
+        route = self._pages.routes.get(request.path)
+        return _answer(HTTPStatus.NOT_FOUND) if route is None else _answer(HTTPStatus.OK, *route)
 
     # --- sockets -------------------------------------------------------------------------------------------------------
 
@@ -197,7 +197,7 @@ class Server:
     async def _comes_back(self, connection: ServerConnection) -> bool:
         """Return whether one of our pages with a wrong token proves that it was admitted before the server restarted."""
         returning = self._guard.returning
-        if returning is None or not returning.before or connection.request is None:
+        if returning is None or not returning.previous_keys or connection.request is None:
             return False
         nonce = secrets.token_urlsafe(32)
         try:
@@ -225,17 +225,17 @@ class Server:
                     mailbox.tell(Refused("", "this page sends too many requests at once: the last one is lost").message_out())
 
     def _pass_on(self, message: str, mailbox: Mailbox) -> None:
-        asked = read(message)
-        if isinstance(asked, Refused):
-            mailbox.tell(asked.message_out())
+        request = read(message)
+        if isinstance(request, Refused):
+            mailbox.tell(request.message_out())
             return
         try:
-            self._live.ask(asked, mailbox)
+            self._live.ask(request, mailbox)
         except Busy:
-            mailbox.tell(Refused(asked.op, "too many requests are waiting", "try again in a moment").message_out())
+            mailbox.tell(Refused(request.op, "too many requests are waiting", "try again in a moment").message_out())
         except Exception:
             traceback.print_exc(file=sys.stderr)
-            mailbox.tell(Refused(asked.op, "this is a bug in antdsl: the terminal has more").message_out())
+            mailbox.tell(Refused(request.op, "this is a bug in antdsl: the terminal has more").message_out())
 
     def _too_slow(self, connection: ServerConnection) -> None:
         closing = asyncio.create_task(_let_go(connection, CloseCode.TRY_AGAIN_LATER, "too much waits for this page"))

@@ -19,7 +19,7 @@ from antdsl.bodies.agents.poses import ClipTable, clip_table
 from antdsl.bodies.agents.varied_bodies import Draws, place_of, size_of
 from antdsl.bodies.skinned_mesh import of_channels, weights_of
 from antdsl.numerics.vector_rows import unit_or
-from antdsl.outputs.cache.pose_arrays import clips_playing, layers_worn, machine_clips, playing, shown
+from antdsl.outputs.cache.pose_arrays import clips_playing, display_arrays, layers_worn, machine_clips, playing
 from antdsl.pipeline import Shot
 from antdsl.preview.session import Session
 from antdsl.preview.timeline import Light, Posed
@@ -33,26 +33,26 @@ _ONE = 32767
 _DOWN = 15  # feet with a bit for whether they stand
 Floats = NDArray[np.float32]
 NONE = 65535  # the number of no clip
-_WHOLE = 65535  # one turn of a clip, or a weight of 1
+_FULL_SCALE = 65535  # one turn of a clip, or a weight of 1
 Arrays = dict[str, NDArray[Any]]
 
 
 def remember(session: Session) -> None:
     """Store the poses of the session's frame with its light frame, once."""
-    world, lights = session.world, session.shown(session.frame)
+    world, lights = session.world, session.light_at(session.frame)
     if lights is not None and session.frame not in session.timeline.poses:
-        found = {name: _posed(session, each, lights[name]) for name, each in world.populations.items() if name in lights}
-        session.timeline.poses.put(session.frame, found)
+        poses = {name: _posed(session, each, lights[name]) for name, each in world.populations.items() if name in lights}
+        session.timeline.poses.put(session.frame, poses)
 
 
 def remembered(session: Session, frame: int) -> dict[str, Arrays]:
     """Return the stored actions of bodies at a frame, by species, if the species has the same bodies and clips now."""
-    found = {}
+    arrays_by_species = {}
     for name, then in session.timeline.poses.get(frame, {}).items():
         population = session.world.populations.get(name)
         if population is not None and outfit(session.world, session.shot, population) == then.worn:
-            found[name] = then.arrays
-    return found
+            arrays_by_species[name] = then.arrays
+    return arrays_by_species
 
 
 def _posed(session: Session, population: Population, light: Light) -> Posed:
@@ -67,13 +67,13 @@ def acts(world: World, shot: Shot, population: Population, light: Light) -> Arra
     where feet are computed. `light`: the rest of the frame about these agents, by id."""
     name, rows = population.name, population.in_id_order()
     worn = outfit(world, shot, population)
-    told = clips_playing(population, rows)
-    found = {each: machine_clips(name, each, told, len(rows)) for each in playing(population)}
-    machines = {each: clip for each, clip in found.items() if clip is not None}
+    clip_arrays = clips_playing(population, rows)
+    clips_by_machine = {each: machine_clips(name, each, clip_arrays, len(rows)) for each in playing(population)}
+    machines = {each: clip for each, clip in clips_by_machine.items() if clip is not None}
     clips = [worn.definition.clips.get(clip) for clip, *_ in worn.plays]
     loops = np.array([*(clip is not None and clip.loop for clip in clips), False])
     arrays: Arrays = {f"plays/{each}": packed(clip, loops) for each, clip in machines.items()}
-    arrays |= _shown(world, population, rows, worn)
+    arrays |= _display_arrays(world, population, rows, worn)
     arrays |= _differing(
         world, population, rows, worn, (*posed_body(worn).idling(light.ids, world.frame * world.dt), *machines.values())
     )
@@ -82,21 +82,21 @@ def acts(world: World, shot: Shot, population: Population, light: Light) -> Arra
     return {f"{name}/{what}": array for what, array in arrays.items()}
 
 
-def _shown(world: World, population: Population, rows: NDArray[np.intp], worn: Outfit) -> Arrays:
+def _display_arrays(world: World, population: Population, rows: NDArray[np.intp], worn: Outfit) -> Arrays:
     arrays: Arrays = {}
     if not worn.layers and not worn.looks and not worn.leans:
         return arrays
-    told = shown(population, world.setting, rows)
+    stored_arrays = display_arrays(population, world.setting, rows)
     if worn.layers:
         known = layers_worn(population, world.setting)
-        mask, found = told[f"wears.{population.name}"], np.zeros(len(rows), np.uint32)
+        mask, layer_bits = stored_arrays[f"wears.{population.name}"], np.zeros(len(rows), np.uint32)
         for k, layer in enumerate(worn.layers):
-            found |= ((mask >> np.uint64(known.index(layer))) & np.uint64(1)).astype(np.uint32) << np.uint32(k)
-        arrays["wears"] = found
+            layer_bits |= ((mask >> np.uint64(known.index(layer))) & np.uint64(1)).astype(np.uint32) << np.uint32(k)
+        arrays["wears"] = layer_bits
     for group in worn.looks:
-        arrays[f"look/{group}"] = np.rint(127 * np.nan_to_num(told[f"looks.{population.name}.{group}"])).astype(np.int8)
+        arrays[f"look/{group}"] = np.rint(127 * np.nan_to_num(stored_arrays[f"looks.{population.name}.{group}"])).astype(np.int8)
     if worn.leans:
-        leans = np.nan_to_num(told[f"leans.{population.name}"])
+        leans = np.nan_to_num(stored_arrays[f"leans.{population.name}"])
         arrays["lean"] = np.rint(127 * np.clip(np.column_stack([leans, np.zeros(len(rows))]), -1, 1)).astype(np.int8)
     return arrays
 
@@ -108,17 +108,19 @@ def _differing(
     if not differ.count or not len(rows):
         return {}
     draws = Draws(population.ids[rows], world.setting.seed, population.name)
-    found = np.zeros((len(rows), -(-differ.count // 3) * 3), np.float32)
+    trait_values = np.zeros((len(rows), -(-differ.count // 3) * 3), np.float32)
     parts = [size_of(varied, name, draws) for name in differ.scales]
     parts += [place_of(varied, name, draws) for name in differ.materials]
     first = len(differ.targets)
     if first:
-        told = shown(population, world.setting, rows)
-        said = {each: told[f"channels.{population.name}.{each}"] for each in population.plan.channels}
-        found[:, :first] = blended_by(worn, differ, machines, len(rows), said, told.get(f"leans.{population.name}"))
+        stored_arrays = display_arrays(population, world.setting, rows)
+        said = {each: stored_arrays[f"channels.{population.name}.{each}"] for each in population.plan.channels}
+        trait_values[:, :first] = blended_by(
+            worn, differ, machines, len(rows), said, stored_arrays.get(f"leans.{population.name}")
+        )
     for k, part in enumerate(parts, first):
-        found[:, k] = part
-    return {f"trait/{k}": found[:, 3 * k : 3 * k + 3] for k in range(found.shape[1] // 3)}
+        trait_values[:, k] = part
+    return {f"trait/{k}": trait_values[:, 3 * k : 3 * k + 3] for k in range(trait_values.shape[1] // 3)}
 
 
 def blended_by(
@@ -148,26 +150,26 @@ def _standing(world: World, name: str, worn: Outfit, light: Light, machines: tup
     if body.legs is None:
         return {}
     played = (*body.idling(light.ids, world.frame * world.dt), *machines)
-    stands = body.legs.kept((*worn.plays, Played(worn.definition.idle)), played, len(light.ids))
+    stands = body.legs.stance_weights((*worn.plays, Played(worn.definition.idle)), played, len(light.ids))
     return dict(stances(body.legs, world.feet[name], light, stands))
 
 
-def packed(told: MachineClips, loops: NDArray[np.bool_]) -> NDArray[np.uint16]:
+def packed(clips: MachineClips, loops: NDArray[np.bool_]) -> NDArray[np.uint16]:
     """Return the clips that one machine of n agents plays, uint16[n, 3, k]: numbers, progress, and weights of the clip and the
     previous one. k is 2, or 3 if any agent still plays the clip before the previous one. `loops`: whether each clip of the
     species loops, and False for none. A clip that does not loop ends with its last sample."""
-    slots = list(told.slots())[::-1]
+    slots = list(clips.slots())[::-1]
     if not slots[-1][2].any():
         slots.pop()
-    made = np.empty((len(told.clip), 3, len(slots)), np.uint16)
+    output = np.empty((len(clips.clip), 3, len(slots)), np.uint16)
     for place, (clip, turns, weight) in enumerate(slots):
         known = (clip >= 0) & (clip < len(loops) - 1)
         exact = np.nan_to_num(turns.astype(np.float64))
         again = loops[np.where(known, clip, -1)]
-        made[:, 0, place] = np.where(known, clip, NONE)
-        made[:, 1, place] = np.round(np.where(again, exact - np.floor(exact), np.clip(exact, 0, 1)) * _WHOLE)
-        made[:, 2, place] = np.round(np.clip(np.nan_to_num(weight), 0, 1) * _WHOLE)
-    return made
+        output[:, 0, place] = np.where(known, clip, NONE)
+        output[:, 1, place] = np.round(np.where(again, exact - np.floor(exact), np.clip(exact, 0, 1)) * _FULL_SCALE)
+        output[:, 2, place] = np.round(np.clip(np.nan_to_num(weight), 0, 1) * _FULL_SCALE)
+    return output
 
 
 def stances(legs: Legs, feet: Feet, light: Light, stands: Floats) -> dict[str, NDArray[np.int16]]:
@@ -186,17 +188,17 @@ def stances(legs: Legs, feet: Feet, light: Light, stands: Floats) -> dict[str, N
     tilt = quaternions(feet.slope) * stands[:, None]
     tilt[:, 3] += 1 - stands
     tilt /= np.maximum(np.linalg.norm(tilt, axis=1, keepdims=True), 1e-20)
-    made = np.empty((len(stands), 6), np.int16)
-    made[:, 0] = _steps(rise, _LENGTH)
-    made[:, 1:4] = _steps(tilt[:, :3], _ONE)  # by less than half a turn, so that w is above 0
-    made[:, 4] = _steps(stands, _ONE)
-    told = feet.down[:, :_DOWN]
-    made[:, 5] = (told << np.arange(told.shape[1])).sum(axis=1)
+    stance = np.empty((len(stands), 6), np.int16)
+    stance[:, 0] = _steps(rise, _LENGTH)
+    stance[:, 1:4] = _steps(tilt[:, :3], _ONE)  # by less than half a turn, so that w is above 0
+    stance[:, 4] = _steps(stands, _ONE)
+    is_down = feet.down[:, :_DOWN]
+    stance[:, 5] = (is_down << np.arange(is_down.shape[1])).sum(axis=1)
     away = (feet.shown - light.position.T[:, :, None]).astype(np.float32) / size[None, :, None]
     place = _turned_back(_frames(light), away)
     place[1] += legs.soles[None] - rise[:, None]
     goals = _turned_back(_rotations(tilt), place)
-    return {"feet": _steps(goals.transpose(1, 2, 0), _LENGTH), "stance": made}
+    return {"feet": _steps(goals.transpose(1, 2, 0), _LENGTH), "stance": stance}
 
 
 def _frames(light: Light) -> Floats:
@@ -219,12 +221,12 @@ def _rotations(turn: Floats) -> Floats:
     return np.stack([np.stack(row) for row in rows]).astype(np.float32)
 
 
-def _turned_back(matrices: Floats, places: Floats) -> Floats:
+def _turned_back(matrices: Floats, points: Floats) -> Floats:
     """Places float32[3, n, L] by the transposes of matrices [3, 3, n]."""
-    x, y, z = places
+    x, y, z = points
     return np.stack([(m[0][:, None] * x + m[1][:, None] * y) + m[2][:, None] * z for m in matrices.transpose(1, 0, 2)])
 
 
-def _steps(values: NDArray[Any], whole: int) -> NDArray[np.int16]:
-    found: NDArray[np.int16] = np.clip(np.rint(np.nan_to_num(values) * np.float32(whole)), -32767, 32767).astype(np.int16)
-    return found
+def _steps(values: NDArray[Any], full_scale: int) -> NDArray[np.int16]:
+    steps: NDArray[np.int16] = np.clip(np.rint(np.nan_to_num(values) * np.float32(full_scale)), -32767, 32767).astype(np.int16)
+    return steps

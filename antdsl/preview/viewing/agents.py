@@ -13,13 +13,13 @@ from antdsl.plan.ir import Plan
 from antdsl.preview.binary_packets import pack
 from antdsl.preview.timeline import Light
 from antdsl.preview.viewing.acting import acts, remember, remembered
-from antdsl.preview.viewing.seen import Packets, Seen, Wanted
+from antdsl.preview.viewing.seen import Interest, Packets, ViewState
 from antdsl.preview.viewing.units import unit_for, worth
 from antdsl.program.model import Program
 from antdsl.runtime import Population, World
 from antdsl.runtime.world import AXES
 
-_GONE = 255
+_MISSING_STATE = 255
 Arrays = dict[str, NDArray[Any]]
 
 
@@ -27,35 +27,35 @@ class Agents:
     """The slot `frame`. Directions are unit vectors times 127, speeds mm/s, columns in the unit that the scene message names."""
 
     def __init__(self) -> None:
-        self._last: tuple[World | None, int, int | None, Wanted] = (None, 0, None, Wanted())
+        self._last: tuple[World | None, int, int | None, Interest] = (None, 0, None, Interest())
 
-    def packets(self, seen: Seen) -> Packets:
-        world = seen.world
-        key = (world, world.frame if seen.light is None else seen.light, seen.light, seen.wanted)
+    def packets(self, view_state: ViewState) -> Packets:
+        world = view_state.world
+        key = (world, world.frame if view_state.light is None else view_state.light, view_state.light, view_state.interest)
         if key[0] is self._last[0] and key[1:] == self._last[1:]:
             return
         self._last = key
-        if seen.light is not None:  # also while the session is on its way there
-            lights = seen.session.shown(seen.light)
+        if view_state.light is not None:  # also while the session is on its way there
+            lights = view_state.session.light_at(view_state.light)
             if lights is not None:
-                plan = seen.session.timeline.at(seen.light).shot.plan
-                light = _renumbered(_remembered(lights), plan, seen.shot.plan)
-                for done in remembered(seen.session, seen.light).values():
-                    light |= done
-                yield "frame", pack("frame", light, frame=seen.light, light=True)
+                plan = view_state.session.timeline.at(view_state.light).shot.plan
+                light = _renumbered(_remembered(lights), plan, view_state.shot.plan)
+                for pose_arrays in remembered(view_state.session, view_state.light).values():
+                    light |= pose_arrays
+                yield "frame", pack("frame", light, frame=view_state.light, light=True)
             return
         arrays: Arrays = {}
-        factors = _factors(world, seen.shot.program, seen.wanted)
-        remember(seen.session)
-        lights = seen.session.shown(world.frame) or {}  # what is remembered of it was just made of it
-        poses = remembered(seen.session, world.frame)
+        factors = _factors(world, view_state.shot.program, view_state.interest)
+        remember(view_state.session)
+        lights = view_state.session.light_at(world.frame) or {}  # what is remembered of it was just made of it
+        poses = remembered(view_state.session, world.frame)
         for name, population in world.populations.items():
             then = lights[name] if name in lights else Light.of(population)
             arrays |= _remembered({name: then}) | _now(population, factors)
-            arrays |= poses[name] if name in poses else acts(world, seen.shot, population, then)
-        arrays |= _items(world, seen.shot.program)
-        feelers, whose = _feelers(world, seen.shot.program, seen.wanted)
-        yield "frame", pack("frame", arrays | feelers, frame=world.frame, light=False, felt=whose)
+            arrays |= poses[name] if name in poses else acts(world, view_state.shot, population, then)
+        arrays |= _items(world, view_state.shot.program)
+        feelers, feeler_owners = _feelers(world, view_state.shot.program, view_state.interest)
+        yield "frame", pack("frame", arrays | feelers, frame=world.frame, light=False, felt=feeler_owners)
 
 
 def _now(population: Population, factors: Mapping[tuple[str, str], float]) -> Arrays:
@@ -74,29 +74,29 @@ def _speed(population: Population) -> NDArray[np.float32]:
     return speed
 
 
-def _factors(world: World, program: Program, wanted: Wanted) -> dict[tuple[str, str], float]:
+def _factors(world: World, program: Program, interest: Interest) -> dict[tuple[str, str], float]:
     """Return the factors of the requested columns that exist."""
-    found = {}
-    for species, name in sorted(wanted.columns):
+    factors = {}
+    for species, name in sorted(interest.columns):
         declared = {each.name: each for each in program.species[species].attributes} if species in program.species else {}
         if name in declared and species in world.populations and name in world.populations[species].now:
-            found[species, name] = 1 / worth(unit_for(declared[name]), world.setting.unit_mm, world.dt)
-    return found
+            factors[species, name] = 1 / worth(unit_for(declared[name]), world.setting.unit_mm, world.dt)
+    return factors
 
 
-def _feelers(world: World, program: Program, wanted: Wanted) -> tuple[Arrays, list[tuple[str, int, int]]]:
+def _feelers(world: World, program: Program, interest: Interest) -> tuple[Arrays, list[tuple[str, int, int]]]:
     """Return the feelers of all followed agents, one after the other, and the agents, with how many each has."""
-    found = [(who, felt(world, program, who.species, who.agent)) for who in wanted.followed]
-    found = [(who, arrays) for who, arrays in found if arrays]
-    whose = [(who.species, who.agent, len(arrays["feelers"])) for who, arrays in found]
-    return {name: np.concatenate([arrays[name] for _, arrays in found]) for name in (found[0][1] if found else ())}, whose
+    feelers = [(who, feeler_arrays(world, program, who.species, who.agent)) for who in interest.followed]
+    feelers = [(who, arrays) for who, arrays in feelers if arrays]
+    owners = [(who.species, who.agent, len(arrays["feelers"])) for who, arrays in feelers]
+    return {name: np.concatenate([arrays[name] for _, arrays in feelers]) for name in (feelers[0][1] if feelers else ())}, owners
 
 
 def _items(world: World, program: Program) -> Arrays:
     arrays: Arrays = {}
     for name, items in world.items.items():
         arrays[f"item/{name}/position"] = items.position.astype(np.float32)
-        arrays[f"item/{name}/size"] = items.seen["radius"]
+        arrays[f"item/{name}/size"] = items.visible_values["radius"]
         for declared in program.world[name].attributes:
             if declared.name in items.amounts:
                 one = worth(unit_for(declared), world.setting.unit_mm, world.dt)
@@ -111,7 +111,7 @@ def _renumbered(arrays: Arrays, then: Plan, now: Plan) -> Arrays:
         known = {machine.name: machine.states for machine in now.species[name].machines} if name in now.species else {}
         for machine in species.machines:
             states = known.get(machine.name, ())
-            table = np.array([states.index(each) if each in states else _GONE for each in machine.states], np.uint8)
+            table = np.array([states.index(each) if each in states else _MISSING_STATE for each in machine.states], np.uint8)
             arrays[f"{name}/state/{machine.name}"] = table[arrays[f"{name}/state/{machine.name}"]]
     return arrays
 
@@ -126,7 +126,7 @@ def _remembered(lights: Mapping[str, Light]) -> Arrays:
     return arrays
 
 
-def felt(world: World, program: Program, species: str, agent: int) -> dict[str, NDArray[Any]]:
+def feeler_arrays(world: World, program: Program, species: str, agent: int) -> dict[str, NDArray[Any]]:
     """Return `feelers` float32 (k, 2, 3), from the agent to the end or first hit of each, and `feelers/hit` uint8 (k). Empty if
     the agent does not exist."""
     population = world.populations.get(species)
@@ -134,22 +134,22 @@ def felt(world: World, program: Program, species: str, agent: int) -> dict[str, 
     if population is None or row < 0:
         return {}
     scale = 1 / world.setting.unit_mm
-    here = population.position[row : row + 1] * scale
+    position = population.position[row : row + 1] * scale
     ahead, up = (population.vector(name)[row : row + 1] for name in ("heading", "up"))
     size = population.now["size"][row : row + 1].astype(np.float64) * scale
-    found = feelers_of(program, species, world.params, world.setting.unit_mm, world.dt)
-    if not found:
+    feelers = feelers_of(program, species, world.params, world.setting.unit_mm, world.dt)
+    if not feelers:
         return {}
-    lines = np.concatenate([rays(entry, here, ahead, up, size) for entry in found]) / scale
-    way = lines[:, 1] - lines[:, 0]
-    reach = np.sqrt((way * way).sum(axis=1))
-    unit = (way / np.maximum(reach, 1e-12)[:, None]).astype(np.float32)
+    lines = np.concatenate([rays(entry, position, ahead, up, size) for entry in feelers]) / scale
+    displacement = lines[:, 1] - lines[:, 0]
+    reach = np.sqrt((displacement * displacement).sum(axis=1))
+    unit = (displacement / np.maximum(reach, 1e-12)[:, None]).astype(np.float32)
     start = lines[:, 0].astype(np.float32)
     nearest = np.full(len(lines), np.inf, np.float32)
     (x, y, z), (dx, dy, dz) = start.T, unit.T
     for name in world.plan.of_kind("obstacle", "solid"):
-        met = world.obstacles[name].feelers(x, y, z, dx, dy, dz, reach.astype(np.float32))
-        nearest = np.minimum(nearest, np.where(met.hit, met.t, np.inf))
+        hits = world.obstacles[name].feelers(x, y, z, dx, dy, dz, reach.astype(np.float32))
+        nearest = np.minimum(nearest, np.where(hits.hit, hits.t, np.inf))
     hit = np.isfinite(nearest)
     lines[hit, 1] = start[hit] + unit[hit] * nearest[hit, None]
     return {"feelers": lines.astype(np.float32), "feelers/hit": hit.astype(np.uint8)}

@@ -24,7 +24,7 @@ from antdsl.bodies.skinned_mesh import Target, blend_targets
 from antdsl.outputs.cache.pose_arrays import layers_worn, playing
 from antdsl.pipeline import Shot
 from antdsl.preview.binary_packets import pack
-from antdsl.preview.viewing.seen import Packets, Seen
+from antdsl.preview.viewing.seen import Packets, ViewState
 from antdsl.runtime import Population, World
 from antdsl.scene.library_bodies import BODY_WORDS, body_of
 
@@ -39,12 +39,12 @@ class Rigs:
     def __init__(self) -> None:
         self._given: dict[str, tuple[Outfit, tuple[str, ...]]] = {}
 
-    def packets(self, seen: Seen) -> Packets:
-        for name, population in seen.world.populations.items():
-            made = outfit(seen.world, seen.shot, population), tuple(playing(population))
-            if self._given.get(name) != made:
-                self._given[name] = made
-                yield f"rig:{name}", rig_packet(name, *made)
+    def packets(self, view_state: ViewState) -> Packets:
+        for name, population in view_state.world.populations.items():
+            rig_key = outfit(view_state.world, view_state.shot, population), tuple(playing(population))
+            if self._given.get(name) != rig_key:
+                self._given[name] = rig_key
+                yield f"rig:{name}", rig_packet(name, *rig_key)
 
 
 @dataclass(frozen=True, slots=True)
@@ -123,8 +123,8 @@ def _rig(worn: Outfit) -> tuple[Arrays, dict[str, Any]]:
     differ = traits(worn)
     arrays |= _variation(definition, differ, table)
     for level, each in _levels(worn).items():
-        found = _mesh(each, table) | _varied(each, differ)
-        arrays |= {f"{level}/{name}": array for name, array in found.items()}
+        mesh_arrays = _mesh(each, table) | _varied(each, differ)
+        arrays |= {f"{level}/{name}": array for name, array in mesh_arrays.items()}
     return arrays, {
         "joints": len(table.order), "texels": _texels(table), "length": float(definition.length),
         "base": [round(float(x), 9) for x in definition.base()[:3].reshape(-1)], "bending": BENDING,
@@ -147,21 +147,21 @@ def _clips(table: ClipTable, definition: Definition, plays: tuple[Played, ...]) 
     - `clip` int32[P, 3, 4]: the first sample (-1 if the body lacks the clip), the number of samples, flags (1 loops, 2 is
       added), the transform group; then first samples and numbers of samples of its left and right, up and down variants.
     - `group` float32[G, J]: weights of joints, first those of the whole rig."""
-    joints, kept = len(table.order), [np.array([0])]
+    joints, sample_rows = len(table.order), [np.array([0])]
     groups = ["", *sorted({each.on for each in plays} - {""})]
-    places: dict[str, tuple[int, int]] = {}
+    clip_ranges: dict[str, tuple[int, int]] = {}
     for name in dict.fromkeys(name for each in plays for name in (each.clip, *each[3:]) if name in table.names):
         number = table.number(name) + 1
         first, length = int(table.first[number]), int(table.counts[number])
-        places[name] = sum(map(len, kept)), length
-        kept.append(np.arange(first, first + length))
+        clip_ranges[name] = sum(map(len, sample_rows)), length
+        sample_rows.append(np.arange(first, first + length))
     clips = []
     for each in plays:
-        first, length = places.get(each.clip, (-1, 1))
+        first, length = clip_ranges.get(each.clip, (-1, 1))
         again = first >= 0 and bool(table.loops[table.number(each.clip) + 1])
-        ways = [number for way in each[3:] for number in places.get(way, (-1, 1))]
-        clips.append((first, length, int(again) + 2 * int(each.add), groups.index(each.on), *ways))
-    rows = table.samples[np.concatenate(kept)]
+        blend_ranges = [number for blend_clip in each[3:] for number in clip_ranges.get(blend_clip, (-1, 1))]
+        clips.append((first, length, int(again) + 2 * int(each.add), groups.index(each.on), *blend_ranges))
+    rows = table.samples[np.concatenate(sample_rows)]
     sample = np.zeros((len(rows), joints, _texels(table), 4), np.float32)
     at = 0
     for texel, width in enumerate((3, 4, *([3] if table.scaled else []), *([3] if table.sheared else []))):
@@ -182,11 +182,11 @@ def _clips(table: ClipTable, definition: Definition, plays: tuple[Played, ...]) 
 
 def _by_depth(table: ClipTable, groups: Sequence[Iterable[tuple[int, float]]]) -> NDArray[np.float32]:
     """Return the joint weights of G groups as float32[G, J], joints by depth. The input has joints by number."""
-    found = np.zeros((len(groups), len(table.order)), np.float32)
+    weights = np.zeros((len(groups), len(table.order)), np.float32)
     for k, group in enumerate(groups):
         for joint, weight in group:
-            found[k, joint] = weight
-    return found[:, table.order]
+            weights[k, joint] = weight
+    return weights[:, table.order]
 
 
 def _variation(definition: Definition, differ: Traits, table: ClipTable) -> Arrays:
@@ -202,14 +202,14 @@ def _variation(definition: Definition, differ: Traits, table: ClipTable) -> Arra
 def _varied(level: PosedBody, differ: Traits) -> Arrays:
     """Return `target` float32[T, v, 6]: the offsets of each blend-shape target to positions and normals. Also `paint` float32[v,
     2]: the trait that selects a vertex's colour (-1 if it does not vary), and the first of its colours."""
-    found, count = _targets(level), len(level.mesh.points)
+    targets, count = _targets(level), len(level.mesh.points)
     none = np.zeros((count, 6), np.float32)
     paint = np.full((count, 2), -1, np.float32)
     first = 0
     for k, name in enumerate(differ.materials):
         paint[level.material == name] = len(differ.targets) + len(differ.scales) + k, first
         first += len(level.definition.variation.materials[name])
-    return {"target": np.array([found.get(each, none) for each in differ.targets], np.float32), "paint": paint}
+    return {"target": np.array([targets.get(each, none) for each in differ.targets], np.float32), "paint": paint}
 
 
 def _depths(table: ClipTable) -> NDArray[np.int32]:
@@ -223,19 +223,19 @@ def _legs(legs: Legs | None, table: ClipTable) -> Arrays:
     """`leg` float32[L, 2, 4]: hip, knee and foot, joints by depth, and the axis about which a straight knee bends."""
     if legs is None:
         return {}
-    found, place = np.zeros((legs.count, 2, 4), np.float32), _depths(table)
-    found[:, 0, :3] = [place[[each.upper, each.lower, each.foot]] for each in legs.chains]
-    found[:, 1, :3] = legs.straight_axes()
-    return {"leg": found}
+    leg_array, place = np.zeros((legs.count, 2, 4), np.float32), _depths(table)
+    leg_array[:, 0, :3] = [place[[each.upper, each.lower, each.foot]] for each in legs.chains]
+    leg_array[:, 1, :3] = legs.straight_axes()
+    return {"leg": leg_array}
 
 
 def _parts(legs: Legs | None, joints: int) -> NDArray[np.int32]:
     """Return the leg part of each joint of the rig: three times the leg plus 1 for thigh, 2 for shank, 3 for foot; 0 for none."""
-    found = np.zeros(joints, np.int32)
+    part_numbers = np.zeros(joints, np.int32)
     for number, each in enumerate(legs.chains if legs is not None else ()):
         for piece, those in enumerate((each.thigh, each.shank, each.sole), 1):
-            found[those] = 3 * number + piece
-    return found
+            part_numbers[those] = 3 * number + piece
+    return part_numbers
 
 
 def _mesh(body: PosedBody, table: ClipTable) -> Arrays:
@@ -267,8 +267,8 @@ def body_of_species(shot: Shot, species: str) -> Definition:
     own = shot.bodies.get(species)
     if own is not None:
         return own
-    asked = next((line.body for line in shot.scene.model.crowd if line.species == species), None)
-    return library_body(asked if asked in BODY_WORDS else body_of(species))
+    requested_body = next((line.body for line in shot.scene.model.crowd if line.species == species), None)
+    return library_body(requested_body if requested_body in BODY_WORDS else body_of(species))
 
 
 class ItemBodies:
@@ -277,8 +277,8 @@ class ItemBodies:
     def __init__(self) -> None:
         self._given: set[tuple[str, str, int]] = set()
 
-    def packets(self, seen: Seen) -> Packets:
-        for kind, items in seen.world.items.items():
+    def packets(self, view_state: ViewState) -> Packets:
+        for kind, items in view_state.world.items.items():
             for index, name in enumerate(items.names):
                 if (kind, name, index) in self._given:
                     continue

@@ -23,17 +23,17 @@ class Charts:
 
     def of(self, program: Program) -> list[dict[str, Any]]:
         machines = [(name, m.name) for name, species in program.species.items() for m in species.machines if m.states]
-        made = graphs.charts(program)
-        missing = [plain for chart in made if (plain := _plain(chart)) not in self._laid]
+        charts = graphs.charts(program)
+        missing = [plain for chart in charts if (plain := _plain(chart)) not in self._laid]
         placed, report = graphs.lay_out(list(dict.fromkeys(missing)))
         if not report.ok:
             self.need = f"{report.errors[0].message}: {report.errors[0].help}"
             return []
         self._laid |= {each.chart: each for each in placed}
-        self._laid = {plain: self._laid[plain] for plain in map(_plain, made)}
+        self._laid = {plain: self._laid[plain] for plain in map(_plain, charts)}
         return [
-            _told(species, machine, chart, self._laid[_plain(chart)])
-            for (species, machine), chart in zip(machines, made, strict=True)
+            _chart_message(species, machine, chart, self._laid[_plain(chart)])
+            for (species, machine), chart in zip(machines, charts, strict=True)
         ]
 
 
@@ -43,7 +43,7 @@ def _plain(chart: Chart) -> Chart:
     return replace(chart, boxes=boxes, arrows=tuple(replace(arrow, details="") for arrow in chart.arrows))
 
 
-def _told(species: str, machine: str, chart: Chart, placed: PlacedChart) -> dict[str, Any]:
+def _chart_message(species: str, machine: str, chart: Chart, placed: PlacedChart) -> dict[str, Any]:
     boxes = [
         {
             "key": box.key, "kind": box.kind, "name": box.name, "label": box.label, "colour": list(box.colour),
@@ -52,12 +52,12 @@ def _told(species: str, machine: str, chart: Chart, placed: PlacedChart) -> dict
         for box, (_, place) in zip(chart.boxes, placed.boxes, strict=True)
     ]  # fmt: skip
     arrows = []
-    for arrow, way in zip(chart.arrows, placed.arrows, strict=True):
-        words = way.words and {"centre": list(way.words.centre), "width": way.words.width, "height": way.words.height}
+    for arrow, route in zip(chart.arrows, placed.arrows, strict=True):
+        words = route.words and {"centre": list(route.words.centre), "width": route.words.width, "height": route.words.height}
         arrows.append(
             {
-                "source": arrow.source, "target": arrow.target, "lines": list(way.lines), "interrupt": arrow.interrupt,
-                "details": arrow.details, "points": [list(point) for point in way.points], "words": words,
+                "source": arrow.source, "target": arrow.target, "lines": list(route.lines), "interrupt": arrow.interrupt,
+                "details": arrow.details, "points": [list(point) for point in route.points], "words": words,
             }
         )  # fmt: skip
     return {

@@ -11,7 +11,7 @@ from antdsl.preview.timeline import Branch, Timeline
 _MOST, _BESIDE = 4000, 1000  # points of a history, and of a branch: of a longer one every so many frames are sent
 
 
-class Told:
+class SentCurves:
     """What all pages have of a session's curves."""
 
     def __init__(self) -> None:
@@ -58,10 +58,13 @@ def _message(reset: bool, curves: Mapping[int, Mapping[str, float]], branches: l
 def _columns(curves: Mapping[int, Mapping[str, float]]) -> dict[str, Any]:
     """Return one list per name, with null for frames that lack the number."""
     names = dict.fromkeys(name for values in curves.values() for name in values)
-    return {"frames": list(curves), "values": {name: [_told(values.get(name)) for values in curves.values()] for name in names}}
+    return {
+        "frames": list(curves),
+        "values": {name: [_finite_or_none(values.get(name)) for values in curves.values()] for name in names},
+    }
 
 
-def _told(value: float | None) -> float | None:
+def _finite_or_none(value: float | None) -> float | None:
     return None if value is None or not math.isfinite(value) else round(value, 6)
 
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from antdsl.bodies.body import vertex_normals
 from antdsl.fields.growing import GrowingCells
 from antdsl.preview.binary_packets import pack
-from antdsl.preview.viewing.seen import Packets, Seen
+from antdsl.preview.viewing.seen import Packets, ViewState
 from antdsl.runtime import World
 from antdsl.runtime.moving.moving_geometry import vertices_at
 
@@ -36,9 +36,9 @@ def full(limit: float) -> float:
 
 def in_bytes(values: NDArray[np.float32]) -> NDArray[np.uint8]:
     """Return values on a logarithmic scale with steps of 16 %; 0 for values below `LEAST`."""
-    there = values >= LEAST
-    level = 1 + np.log10(np.where(there, values, LEAST) / LEAST) * (254 / DECADES)
-    return np.where(there, np.clip(np.rint(level), 1, 255), 0).astype(np.uint8)
+    is_present = values >= LEAST
+    level = 1 + np.log10(np.where(is_present, values, LEAST) / LEAST) * (254 / DECADES)
+    return np.where(is_present, np.clip(np.rint(level), 1, 255), 0).astype(np.uint8)
 
 
 class Fields:
@@ -52,9 +52,9 @@ class Fields:
         self._shown: dict[str, int] = {}  # the frame shown last
         self._last = -1.0
 
-    def packets(self, seen: Seen) -> Packets:
-        world = seen.world
-        wanted = sorted(seen.wanted.fields & world.fields.keys())
+    def packets(self, view_state: ViewState) -> Packets:
+        world = view_state.world
+        field_names = sorted(view_state.interest.fields & world.fields.keys())
         if world is not self._world:  # the same cells, often, and other values
             self._world = world
             self._shown = dict.fromkeys(self._shown, -1)
@@ -62,32 +62,34 @@ class Fields:
             if moving != self._moving:
                 self._moving = moving
                 self._cells.clear()
-        for gone in self._meshes.keys() - set(wanted):  # a new request sends it again
-            del self._meshes[gone]
-            self._cells.pop(gone, None)
-            self._shown.pop(gone, None)
-        if not wanted or (seen.going and seen.now - self._last < _EVERY and self._shown.keys() >= set(wanted)):
+        for removed_name in self._meshes.keys() - set(field_names):  # a new request sends it again
+            del self._meshes[removed_name]
+            self._cells.pop(removed_name, None)
+            self._shown.pop(removed_name, None)
+        if not field_names or (
+            view_state.going and view_state.now - self._last < _EVERY and self._shown.keys() >= set(field_names)
+        ):
             return
-        self._last = seen.now
-        for name in wanted:
-            yield from self._field(seen, name)
+        self._last = view_state.now
+        for name in field_names:
+            yield from self._field(view_state, name)
 
-    def _field(self, seen: Seen, name: str) -> Packets:
-        world, field = seen.world, seen.world.fields[name]
+    def _field(self, view_state: ViewState, name: str) -> Packets:
+        world, field = view_state.world, view_state.world.fields[name]
         made_of, count, when = self._cells.get(name, (None, 0, -_MESH_EVERY))
-        grown = count != cells_in_use(field) and (seen.now - when >= _MESH_EVERY or not seen.going)
+        grown = count != cells_in_use(field) and (view_state.now - when >= _MESH_EVERY or not view_state.going)
         if made_of is not field.cells or grown:
             mesh = field_mesh(world, name)
-            self._meshes[name], self._cells[name] = mesh, (field.cells, cells_in_use(field), seen.now)
+            self._meshes[name], self._cells[name] = mesh, (field.cells, cells_in_use(field), view_state.now)
             self._shown.pop(name, None)
         if self._shown.get(name) == world.frame:
             return
         mesh = self._meshes[name]
         if name not in self._shown or mesh.carried:
             slot = f"fieldmesh:{name}"
-            yield slot, pack(slot, {"position": mesh.places(world), "face": mesh.face})
+            yield slot, pack(slot, {"position": mesh.vertex_positions(world), "face": mesh.face})
         self._shown[name] = world.frame
-        value = in_bytes(mesh.shown(field.values))
+        value = in_bytes(mesh.vertex_values(field.values))
         yield f"field:{name}", pack(f"field:{name}", {"value": value}, frame=world.frame)
 
 
@@ -112,18 +114,18 @@ class FieldMesh:
     share: NDArray[np.float32]
     carried: tuple[Carried, ...] = ()
 
-    def places(self, world: World) -> NDArray[np.float32]:
+    def vertex_positions(self, world: World) -> NDArray[np.float32]:
         """Where the vertices are at the world's frame."""
-        found = self.position.copy() if self.carried else self.position
+        positions = self.position.copy() if self.carried else self.position
         for each in self.carried:
             corners = vertices_at(world, each.mesh, world.frame)[each.corner]
-            found[each.first : each.first + len(each.corner)] = np.einsum("nkd,nk->nd", corners, each.weight)
-        return found
+            positions[each.first : each.first + len(each.corner)] = np.einsum("nkd,nk->nd", corners, each.weight)
+        return positions
 
-    def shown(self, values: Floats) -> NDArray[np.float32]:
+    def vertex_values(self, values: Floats) -> NDArray[np.float32]:
         """What the vertices show of the cells' values."""
-        found: NDArray[np.float32] = np.einsum("nk,nk->n", values.astype(np.float32)[self.cell], self.share)
-        return found
+        result: NDArray[np.float32] = np.einsum("nk,nk->n", values.astype(np.float32)[self.cell], self.share)
+        return result
 
 
 def cells_in_use(field: Any) -> int:
@@ -135,37 +137,37 @@ def field_mesh(world: World, name: str) -> FieldMesh:
     """The mesh of a field as the world stands."""
     cells = world.fields[name].cells
     count = cells_in_use(world.fields[name])
-    places, normals = cells.position[:count], cells.normal[:count]
+    positions, normals = cells.position[:count], cells.normal[:count]
     points, faces, carried, edge = _ground(world, name, cells.cell)
     if len(points) and count:
         from scipy.spatial import cKDTree
 
-        way = vertex_normals(points, faces.astype(np.int32)).astype(np.float64)
-        near, share = _mixed(points, way, places, normals, cells.cell)
-        lone = np.flatnonzero(cKDTree(points).query(places)[0] > _BESIDE * max(cells.cell, edge))
+        point_normals = vertex_normals(points, faces.astype(np.int32)).astype(np.float64)
+        near, share = _mixed(points, point_normals, positions, normals, cells.cell)
+        lone = np.flatnonzero(cKDTree(points).query(positions)[0] > _BESIDE * max(cells.cell, edge))
     else:
         near, share, lone = np.empty((0, _NEAREST), np.int64), np.empty((0, _NEAREST)), np.arange(count)
         points, faces, carried = np.empty((0, 3)), np.empty((0, 3), np.int64), ()
-    corners, squares, own, whole = _squares(places[lone], normals[lone], cells.cell, lone)
+    corners, squares, own, square_share = _squares(positions[lone], normals[lone], cells.cell, lone)
     return FieldMesh(
         np.concatenate([points, corners]).astype(np.float32),
         np.concatenate([faces, squares + len(points)]).astype(np.uint32),
         np.concatenate([near, own]),
-        np.concatenate([share, whole]).astype(np.float32),
+        np.concatenate([share, square_share]).astype(np.float32),
         carried,
     )
 
 
 def _ground(world: World, name: str, cell: float) -> tuple[Floats, NDArray[np.int64], tuple[Carried, ...], float]:
     """Return the field's meshes at the first frame, cut to edges of about one cell; their moving vertices; the longest edge."""
-    asked, setting = world.plan.fields[name].surfaces, world.setting
-    made = [each for each in setting.surfaces if not asked or each in asked]
-    rest = [setting.surfaces[each].vertices - world.origin for each in made]
-    faces = [setting.surfaces[each].faces.astype(np.int64) for each in made]
+    requested_names, setting = world.plan.fields[name].surfaces, world.setting
+    mesh_names = [each for each in setting.surfaces if not requested_names or each in requested_names]
+    rest = [setting.surfaces[each].vertices - world.origin for each in mesh_names]
+    faces = [setting.surfaces[each].faces.astype(np.int64) for each in mesh_names]
     area = sum(_area(*mesh) for mesh in zip(rest, faces, strict=True))
     edge = max(cell, float(np.sqrt(area / (0.5 * _MOST))))
     parts, carried, first = [], [], 0
-    for each, vertices, triangles in zip(made, rest, faces, strict=True):
+    for each, vertices, triangles in zip(mesh_names, rest, faces, strict=True):
         points, cut, of = _cut(vertices, triangles, edge)
         if each in setting.moves.meshes:
             carried.append(_carried(each, first, points, cut, of, vertices, triangles))
@@ -207,12 +209,14 @@ def _carried(
     return Carried(name, first, faces[face], np.asarray(weight, np.float64))
 
 
-def _mixed(points: Floats, way: Floats, places: Floats, normals: Floats, cell: float) -> tuple[NDArray[np.int64], Floats]:
+def _mixed(
+    points: Floats, point_normals: Floats, positions: Floats, normals: Floats, cell: float
+) -> tuple[NDArray[np.int64], Floats]:
     """Return the nearest cells of each point that face its side, and the share of each, which falls with distance."""
     from scipy.spatial import cKDTree
 
-    distance, near = cKDTree(places).query(points, k=[min(k, len(places)) for k in range(1, _NEAREST + 1)])
-    same = np.einsum("nkd,nd->nk", normals[near], way) > 0
+    distance, near = cKDTree(positions).query(points, k=[min(k, len(positions)) for k in range(1, _NEAREST + 1)])
+    same = np.einsum("nkd,nd->nk", normals[near], point_normals) > 0
     share = np.where(same, 1 / (distance**2 + (_SOFT * cell) ** 2), 0.0)
     share[(distance > 2 * cell) & (distance > distance[:, :1])] = 0.0
     total = share.sum(axis=1, keepdims=True)
@@ -220,7 +224,7 @@ def _mixed(points: Floats, way: Floats, places: Floats, normals: Floats, cell: f
 
 
 def _squares(
-    places: Floats, normals: Floats, cell: float, which: NDArray[np.int64]
+    positions: Floats, normals: Floats, cell: float, which: NDArray[np.int64]
 ) -> tuple[Floats, NDArray[np.int64], NDArray[np.int64], Floats]:
     """A square for each cell, across its normal."""
     other = np.where(np.abs(normals[:, :1]) < 0.9, np.array([[1.0, 0.0, 0.0]]), np.array([[0.0, 0.0, 1.0]]))
@@ -228,9 +232,9 @@ def _squares(
     right /= np.maximum(np.linalg.norm(right, axis=1, keepdims=True), 1e-12)
     above = np.cross(normals, right)
     half = cell / 2
-    corners = [places + half * (i * right + k * above) for i, k in ((-1, -1), (1, -1), (1, 1), (-1, 1))]
-    first = np.arange(len(places))[:, None] * 4
+    corners = [positions + half * (i * right + k * above) for i, k in ((-1, -1), (1, -1), (1, 1), (-1, 1))]
+    first = np.arange(len(positions))[:, None] * 4
     faces = np.concatenate([first + np.array([0, 1, 2]), first + np.array([0, 2, 3])]).astype(np.int64)
-    share = np.zeros((len(places) * 4, _NEAREST))
+    share = np.zeros((len(positions) * 4, _NEAREST))
     share[:, 0] = 1.0
     return np.stack(corners, axis=1).reshape(-1, 3), faces, np.repeat(which, 4 * _NEAREST).reshape(-1, _NEAREST), share

@@ -12,7 +12,7 @@ from antdsl.ground.solid import Volume
 from antdsl.outputs.cache.solid_pieces import Piece, joined
 from antdsl.outputs.flow_arrows import arrows
 from antdsl.preview.binary_packets import pack
-from antdsl.preview.viewing.seen import Packets, Seen
+from antdsl.preview.viewing.seen import Packets, ViewState
 from antdsl.runtime import World
 from antdsl.runtime.moving.moving_geometry import vertices_at
 from antdsl.scene.setting import MeshData, SolvedFlow
@@ -30,8 +30,8 @@ class Meshes:
         self._frame = 0
         self._given: dict[str, tuple[MeshData, bytes] | None] = {}  # None: it moves
 
-    def packets(self, seen: Seen) -> Packets:
-        world, moves = seen.world, seen.world.setting.moves.meshes
+    def packets(self, view_state: ViewState) -> Packets:
+        world, moves = view_state.world, view_state.world.setting.moves.meshes
         if world is self._world and (not moves or world.frame == self._frame):
             return
         fresh, self._world, self._frame = world is not self._world, world, world.frame
@@ -58,11 +58,14 @@ class Meshes:
                 )
 
     def _known(self, name: str, mesh: MeshData, world: World) -> bool:
-        before, origin = self._given.get(name) or (None, b"")
+        previous, origin = self._given.get(name) or (None, b"")
         same = (
-            before is not None
+            previous is not None
             and origin == world.origin.tobytes()
-            and (before is mesh or (np.array_equal(before.vertices, mesh.vertices) and np.array_equal(before.faces, mesh.faces)))
+            and (
+                previous is mesh
+                or (np.array_equal(previous.vertices, mesh.vertices) and np.array_equal(previous.faces, mesh.faces))
+            )
         )
         self._given[name] = mesh, world.origin.tobytes()
         return same
@@ -75,8 +78,8 @@ class Curves:
         self._world: World | None = None
         self._frame = 0
 
-    def packets(self, seen: Seen) -> Packets:
-        world = seen.world
+    def packets(self, view_state: ViewState) -> Packets:
+        world = view_state.world
         moves = world.setting.moves
         if world is self._world and (not moves.curves or world.frame == self._frame):
             return
@@ -99,23 +102,23 @@ class Flows:
         self._given: set[str] = set()
         self._solved = 0.0
 
-    def packets(self, seen: Seen) -> Packets:
-        world = seen.world
+    def packets(self, view_state: ViewState) -> Packets:
+        world = view_state.world
         if world is not self._world:
             self._world, self._given = world, set()
-        solved = {name for name in seen.wanted.flows if isinstance(world.setting.flows.get(name), SolvedFlow)}
-        if solved and seen.now - self._solved >= _AGAIN:
+        solved = {name for name in view_state.interest.flows if isinstance(world.setting.flows.get(name), SolvedFlow)}
+        if solved and view_state.now - self._solved >= _AGAIN:
             self._given -= solved
-            self._solved = seen.now
-        wanted = (seen.wanted.flows & world.flows.keys()) - self._given
-        if not wanted:
+            self._solved = view_state.now
+        flow_names = (view_state.interest.flows & world.flows.keys()) - self._given
+        if not flow_names:
             return
-        self._given |= wanted
-        found = arrows(world, 1.0)
-        for name in sorted(wanted):
-            if f"flow.{name}.P" in found:
+        self._given |= flow_names
+        arrow_arrays = arrows(world, 1.0)
+        for name in sorted(flow_names):
+            if f"flow.{name}.P" in arrow_arrays:
                 slot = f"flow:{name}"
-                yield slot, pack(slot, {"from": found[f"flow.{name}.P"], "way": found[f"flow.{name}.V"]})
+                yield slot, pack(slot, {"from": arrow_arrays[f"flow.{name}.P"], "way": arrow_arrays[f"flow.{name}.V"]})
 
 
 class Solids:
@@ -127,36 +130,36 @@ class Solids:
         self._shown: set[tuple[str, int]] = set()  # pieces that pages have faces of
         self._last = -1.0
 
-    def packets(self, seen: Seen) -> Packets:
-        if not seen.wanted.solids or (seen.going and seen.now - self._last < _EVERY):
+    def packets(self, view_state: ViewState) -> Packets:
+        if not view_state.interest.solids or (view_state.going and view_state.now - self._last < _EVERY):
             return
-        self._last = seen.now
-        for name in self._volumes.keys() - seen.world.solids.keys():
+        self._last = view_state.now
+        for name in self._volumes.keys() - view_state.world.solids.keys():
             for piece in sorted(self._bricks.pop(name)):
-                yield from self._given(name, piece, [], self._volumes[name])
+                yield from self._piece_packets(name, piece, [], self._volumes[name])
             del self._volumes[name]
-        for name, volume in seen.world.solids.items():
+        for name, volume in view_state.world.solids.items():
             yield from self._solid(name, volume)
 
     def _solid(self, name: str, volume: Volume) -> Packets:
-        kept = self._bricks.setdefault(name, {})
-        before = set(kept)
-        anew = self._volumes.get(name) is not volume  # after a seek or an edit: another one, as it was then
-        if anew:
+        bricks_by_piece = self._bricks.setdefault(name, {})
+        previous_pieces = set(bricks_by_piece)
+        is_new_volume = self._volumes.get(name) is not volume  # after a seek or an edit: another one, as it was then
+        if is_new_volume:
             self._volumes[name] = volume
-            kept.clear()
+            bricks_by_piece.clear()
         touched = set()
-        for brick, vertices, faces in volume.surface(changed_only=not anew):
+        for brick, vertices, faces in volume.surface(changed_only=not is_new_volume):
             piece = _piece(brick, volume.bricks.shape)
-            kept.setdefault(piece, {})[brick] = vertices, faces
+            bricks_by_piece.setdefault(piece, {})[brick] = vertices, faces
             touched.add(piece)
         for piece in sorted(touched):
-            yield from self._given(name, piece, kept[piece].values(), volume)
-        if anew:
-            for piece in sorted(before - set(kept)):
-                yield from self._given(name, piece, [], volume)
+            yield from self._piece_packets(name, piece, bricks_by_piece[piece].values(), volume)
+        if is_new_volume:
+            for piece in sorted(previous_pieces - set(bricks_by_piece)):
+                yield from self._piece_packets(name, piece, [], volume)
 
-    def _given(self, name: str, piece: int, bricks: Iterable[Piece], volume: Volume) -> Packets:
+    def _piece_packets(self, name: str, piece: int, bricks: Iterable[Piece], volume: Volume) -> Packets:
         """Return the packet of a piece; nothing for a piece without faces that is not displayed."""
         vertices, faces = joined(list(bricks))
         if not len(faces) and (name, piece) not in self._shown:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from antdsl import __version__
 from antdsl.diagnostics import Report
-from antdsl.diagnostics.render import shown
+from antdsl.diagnostics.render import visible_diagnostics
 from antdsl.preview.session import Outcome
 from antdsl.preview.viewing.names import is_library, text_of
 
@@ -29,16 +29,16 @@ def scene_file(live: Live) -> str:
 
 def texts(live: Live) -> Message:
     """All programs and scenes, as they are on the disk."""
-    found, told = [], set()
+    entries, known_paths = [], set()
     for each in live.compiler.files():
         path = Path(os.path.realpath(each))
-        if path in told or path.suffix not in (".ant", ".yaml", ".yml"):
+        if path in known_paths or path.suffix not in (".ant", ".yaml", ".yml"):
             continue
         if (text := text_of(each, live.compiler.open_file)) is not None:
-            told.add(path)
+            known_paths.add(path)
             kind = "library" if is_library(path) else "ant" if path.suffix == ".ant" else "yaml"
-            found.append({"file": live.screen.names.of(path), "text": text, "kind": kind})
-    return {"op": "texts", "texts": found}
+            entries.append({"file": live.screen.names.of(path), "text": text, "kind": kind})
+    return {"op": "texts", "texts": entries}
 
 
 def problems(live: Live) -> Message:
@@ -48,17 +48,19 @@ def problems(live: Live) -> Message:
 
 def _problems(live: Live, report: Report) -> list[Message]:
     """Return the findings that fit, and the number of further ones."""
-    kept = shown(report)
-    found, more = [live.screen.names.problem(each) for each in kept], len(report.diagnostics) - len(kept)
-    if more:
-        found.append({**found[-1], "message": f"… and {more:,} more", "help": "", "file": None, "start": 0, "end": 0})
-    return found
+    selected = visible_diagnostics(report)
+    entries, omitted_count = [live.screen.names.problem(each) for each in selected], len(report.diagnostics) - len(selected)
+    if omitted_count:
+        entries.append(
+            {**entries[-1], "message": f"… and {omitted_count:,} more", "help": "", "file": None, "start": 0, "end": 0}
+        )
+    return entries
 
 
-def outcome(live: Live, of: str, done: Outcome, file: str = "") -> Message:
-    found = _problems(live, done.report)
-    about = {"did": done.did, "line": done.line, "text": done.text, "file": file}
-    return {"op": "outcome", "of": of, "ok": done.ok, **about, "problems": found}
+def outcome(live: Live, of: str, result: Outcome, file: str = "") -> Message:
+    entries = _problems(live, result.report)
+    details = {"did": result.did, "line": result.line, "text": result.text, "file": file}
+    return {"op": "outcome", "of": of, "ok": result.ok, **details, "problems": entries}
 
 
 def stops(live: Live) -> Message:
@@ -68,21 +70,21 @@ def stops(live: Live) -> Message:
 
 def status(live: Live, rate: float, hash: str | None) -> Message:
     """Return the state of the session; with empty values while the scene has errors."""
-    told: Message = {
+    fields: Message = {
         "op": "status", "frame": 0, "first": 0, "head": 0, "playing": False, "speed": live.speed, "rate": round(rate, 1),
         "edited": False, "fault": None, "paused_by": None, "paused_agents": None, "hash": hash, "agents": 0, "transitions": {},
         "light": False,
     }  # fmt: skip
     if not live.is_open:
-        return told
+        return fields
     session, why = live.session, live.stop_at
-    told |= {
+    fields |= {
         "frame": session.frame if live.light is None else live.light, "first": session.first, "head": session.head,
         "playing": session.playing, "edited": session.edited, "fault": session.fault, "agents": len(session.world),
         "transitions": dict(session.world.transitions), "light": live.light is not None,
     }  # fmt: skip
     if why is not None:
-        told["paused_by"] = why.line
+        fields["paused_by"] = why.line
         if why.agents:
-            told["paused_agents"] = {"species": why.species, "agents": list(why.agents)}
-    return told
+            fields["paused_agents"] = {"species": why.species, "agents": list(why.agents)}
+    return fields

@@ -44,26 +44,26 @@ class Names:
             self._names[real] = name
         return self._names[real]
 
-    def problem(self, found: Diagnostic) -> dict[str, Any]:
+    def problem(self, diagnostic: Diagnostic) -> dict[str, Any]:
         """Return a finding with its location; the file is null if there is none."""
-        told: dict[str, Any] = {
-            "code": found.code, "severity": found.severity, "message": self._brief(found.message),
-            "help": self._brief(found.help or ""),
+        fields: dict[str, Any] = {
+            "code": diagnostic.code, "severity": diagnostic.severity, "message": self._brief(diagnostic.message),
+            "help": self._brief(diagnostic.help or ""),
             "file": None, "start": 0, "end": 0, "line": 0, "column": 0,
         }  # fmt: skip
-        if found.span is not None:
-            text = found.span.source.text
-            line, column = found.span.source.line_column(found.span.start)
-            told |= {
-                "file": self.of(found.span.source.path), "start": utf16(text[: found.span.start]),
-                "end": utf16(text[: found.span.end]), "line": line, "column": column,
+        if diagnostic.span is not None:
+            text = diagnostic.span.source.text
+            line, column = diagnostic.span.source.line_column(diagnostic.span.start)
+            fields |= {
+                "file": self.of(diagnostic.span.source.path), "start": utf16(text[: diagnostic.span.start]),
+                "end": utf16(text[: diagnostic.span.end]), "line": line, "column": column,
             }  # fmt: skip
-        return told
+        return fields
 
     def _brief(self, words: str) -> str:
         """Words less the way to the scene's folder."""
-        for way in self._ways:
-            words = words.replace(way, "")
+        for prefix in self._ways:
+            words = words.replace(prefix, "")
         return words
 
 

@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.preview.binary_packets import pack
-from antdsl.preview.requests import EVERYBODY
-from antdsl.preview.viewing.seen import Packets, Seen, Wanted
+from antdsl.preview.requests import MAX_PLANNED_AGENTS
+from antdsl.preview.viewing.seen import Interest, Packets, ViewState
 
 _EVERY = 0.1  # seconds between two of them while time goes on: a page leaves out past points automatically
 
@@ -18,43 +18,46 @@ class Paths:
     """The slot `paths`: each agent's places from frame `frame` of the header on; NaN where the agent does not exist."""
 
     def __init__(self) -> None:
-        self._last: tuple[int, Wanted] | None = None
+        self._last: tuple[int, Interest] | None = None
         self._sent = 0.0
 
-    def packets(self, seen: Seen) -> Packets:
-        if seen.wanted.planned is None:
+    def packets(self, view_state: ViewState) -> Packets:
+        if view_state.interest.planned is None:
             if self._last is not None:
                 self._last = None
                 yield "paths", pack("paths", {}, frame=0, count=0)
             return
-        now = (seen.ahead.version, seen.wanted)
-        if now == self._last or (seen.going and self._last is not None and seen.now - self._sent < _EVERY):
+        now = (view_state.ahead.version, view_state.interest)
+        if now == self._last or (view_state.going and self._last is not None and view_state.now - self._sent < _EVERY):
             return
-        self._last, self._sent = now, seen.now
-        first, arrays = min(seen.ahead.frames, default=0), _paths(seen)
-        yield "paths", pack("paths", arrays, frame=first, count=len(seen.ahead.frames))
+        self._last, self._sent = now, view_state.now
+        first, arrays = min(view_state.ahead.frames, default=0), _paths(view_state)
+        yield "paths", pack("paths", arrays, frame=first, count=len(view_state.ahead.frames))
 
 
-def _paths(seen: Seen) -> dict[str, NDArray[Any]]:
+def _paths(view_state: ViewState) -> dict[str, NDArray[Any]]:
     """By species `NAME/id` int32 (n) and `NAME/path` float32 (n, frames, 3)."""
-    ahead, wanted, found = seen.ahead, seen.wanted, dict[str, NDArray[Any]]()
+    ahead, interest, arrays = view_state.ahead, view_state.interest, dict[str, NDArray[Any]]()
     if not ahead.frames:
-        return found
-    here, everybody = ahead.frames[min(ahead.frames)], wanted.planned_of_all and len(seen.world) <= EVERYBODY
-    for name, places in here.items():
-        ids = np.array(sorted({who.agent for who in wanted.planned or () if who.species == name}), np.int64)
-        ids = ids[np.isin(ids, places.ids)]
-        if everybody:
-            ids = places.ids
+        return arrays
+    first_positions, is_for_all = (
+        ahead.frames[min(ahead.frames)],
+        interest.planned_of_all and len(view_state.world) <= MAX_PLANNED_AGENTS,
+    )
+    for name, positions in first_positions.items():
+        ids = np.array(sorted({who.agent for who in interest.planned or () if who.species == name}), np.int64)
+        ids = ids[np.isin(ids, positions.ids)]
+        if is_for_all:
+            ids = positions.ids
         if not len(ids):
             continue
         path = np.full((len(ids), len(ahead.frames), 3), np.nan, np.float32)
         for k, frame in enumerate(sorted(ahead.frames)):
-            there = ahead.frames[frame].get(name)
-            if there is None or not len(there.ids):
+            later_positions = ahead.frames[frame].get(name)
+            if later_positions is None or not len(later_positions.ids):
                 continue
-            at = np.minimum(np.searchsorted(there.ids, ids), len(there.ids) - 1)
-            alive = there.ids[at] == ids
-            path[alive, k] = there.position[at[alive]]
-        found |= {f"{name}/id": ids.astype(np.int32), f"{name}/path": path}
-    return found
+            at = np.minimum(np.searchsorted(later_positions.ids, ids), len(later_positions.ids) - 1)
+            alive = later_positions.ids[at] == ids
+            path[alive, k] = later_positions.position[at[alive]]
+        arrays |= {f"{name}/id": ids.astype(np.int32), f"{name}/path": path}
+    return arrays

@@ -56,12 +56,12 @@ class Box:
         meshes += [solid.mesh.vertices for solid in world.setting.solids.values()]
         ends = [end - world.origin for mesh in meshes if len(mesh) for end in (mesh.min(axis=0), mesh.max(axis=0))]
         people = [population.position for population in world.populations.values() if len(population)]
-        about = [[float(x) for x in end] for end in ends], bool(people)
-        if self._box is None or about != self._about:
-            ends += [end for places in people for end in (places.min(axis=0), places.max(axis=0))]
+        signature = [[float(x) for x in end] for end in ends], bool(people)
+        if self._box is None or signature != self._about:
+            ends += [end for positions in people for end in (positions.min(axis=0), positions.max(axis=0))]
             ends = ends or [np.full(3, -100.0), np.full(3, 100.0)]
             low, high = np.min(ends, axis=0), np.max(ends, axis=0)
-            self._about, self._box = about, ([float(x) for x in low], [float(x) for x in high])
+            self._about, self._box = signature, ([float(x) for x in low], [float(x) for x in high])
         return self._box
 
 
@@ -81,7 +81,7 @@ def _camera(session: Session) -> dict[str, Any] | None:
 def _species(session: Session, names: Names, population: Population) -> dict[str, Any]:
     world, shot, name = session.world, session.shot, population.name
     declared = colourable(world, name, shot.program.species[name].attributes)
-    felt = feelers_of(shot.program, name, world.params, world.setting.unit_mm, world.dt)
+    feelers = feelers_of(shot.program, name, world.params, world.setting.unit_mm, world.dt)
     return {
         "name": name,
         "attributes": [{"name": each.name, "unit": unit_for(each)} for each in declared],
@@ -92,35 +92,35 @@ def _species(session: Session, names: Names, population: Population) -> dict[str
         "layers": _layers(session, names, population),
         "feelers": [
             {"count": f.count, "spread": f.spread, "reach": f.reach * world.setting.unit_mm, "per_length": f.per_length}
-            for f in felt
+            for f in feelers
         ],
     }
 
 
 def _layers(session: Session, names: Names, population: Population) -> list[dict[str, Any]]:
     """Return the running layers and those that are off, in text order."""
-    found = []
+    entries = []
     for layer in population.plan.layers:
         span = layer.span
         line = span.source.line_column(span.start)[0]
-        found.append({"text": span.text, "file": names.of(span.source.path), "line": line, "on": True})
+        entries.append({"text": span.text, "file": names.of(span.source.path), "line": line, "on": True})
     for (species, text), path in session.off.items():
         if species == population.name:
-            whole = text_of(path, session.compiler.open_file) or ""
-            own = re.search(rf"^\s*species\s+{re.escape(species)}\b", whole, re.MULTILINE)
-            line = whole.count("\n", 0, max(whole.find(text, own.start() if own else 0), 0)) + 1
-            found.append({"text": text, "file": names.of(path), "line": line, "on": False})
-    return sorted(found, key=lambda each: (each["file"], each["line"]))
+            file_text = text_of(path, session.compiler.open_file) or ""
+            own = re.search(rf"^\s*species\s+{re.escape(species)}\b", file_text, re.MULTILINE)
+            line = file_text.count("\n", 0, max(file_text.find(text, own.start() if own else 0), 0)) + 1
+            entries.append({"text": text, "file": names.of(path), "line": line, "on": False})
+    return sorted(entries, key=lambda each: (each["file"], each["line"]))
 
 
 def _param(session: Session, names: Names, name: str, param: Param) -> dict[str, Any]:
     world, scene = session.world, session.shot.scene
     unit_mm, dt = world.setting.unit_mm, world.dt
-    given = scene.model.set.get(name)
-    written = given.text if given is not None else param.default.span.text if param.default.span is not None else ""
+    scene_value = scene.model.set.get(name)
+    written = scene_value.text if scene_value is not None else param.default.span.text if param.default.span is not None else ""
     chosen = session.choices.params.get(name)
     value = written if chosen is None else chosen
-    quantity = given if chosen is None else parse_quantity(chosen)
+    quantity = scene_value if chosen is None else parse_quantity(chosen)
     number = base(param.default, unit_mm, dt) if quantity is None else quantity.base(unit_mm, dt)
     one = worth(param.unit, unit_mm, dt)
     low, high = (None if each is None else base(each, unit_mm, dt) / one for each in (param.low, param.high))

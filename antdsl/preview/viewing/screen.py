@@ -11,20 +11,20 @@ from typing import TYPE_CHECKING, Any
 
 from antdsl.preview.breaking import Breakpoints
 from antdsl.preview.observing.spec_judgement import Specs
-from antdsl.preview.requests import EVERYBODY
+from antdsl.preview.requests import MAX_PLANNED_AGENTS
 from antdsl.preview.session import Session
 from antdsl.preview.viewing import messages
 from antdsl.preview.viewing.acting import remember
 from antdsl.preview.viewing.agents import Agents
 from antdsl.preview.viewing.bodies import ItemBodies, Rigs
 from antdsl.preview.viewing.charts import Charts
-from antdsl.preview.viewing.curves import Told
+from antdsl.preview.viewing.curves import SentCurves
 from antdsl.preview.viewing.fields import Fields
 from antdsl.preview.viewing.geometry import Curves, Flows, Meshes, Solids
 from antdsl.preview.viewing.names import Names
 from antdsl.preview.viewing.paths import Paths
 from antdsl.preview.viewing.scene import Box, scene
-from antdsl.preview.viewing.seen import Seen, View, Wanted
+from antdsl.preview.viewing.seen import Interest, View, ViewState
 
 if TYPE_CHECKING:
     from antdsl.preview.live import Client, Live
@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 # One of each is made; the ground comes first, what takes long to make last.
 VIEWS: tuple[Callable[[], View], ...] = (Meshes, Solids, Rigs, Agents, Paths, Curves, Fields, Flows, ItemBodies)
 _FRAME_EVERY = 1 / 60  # seconds
-_TOLD_EVERY = 0.1  # the same of status and curves while it plays
+_REPORT_INTERVAL = 0.1  # the same of status and curves while it plays
 _RATE_OVER = 1.0  # seconds of steps that the rate is measured over
 
 
@@ -43,9 +43,9 @@ class Screen:
         self.live, self.names = live, Names(live.compiler.scene)
         self.due = inf
         self._views = [make() for make in VIEWS]
-        self._charts, self._curves = Charts(), Told()
+        self._charts, self._curves = Charts(), SentCurves()
         self._box = Box()
-        self._wanted = Wanted()
+        self._wanted = Interest()
         self._standing: dict[str, bytes] = {}  # the latest packet of each slot
         self._steps: deque[float] = deque()
         self._program = self._files = self._moved = True  # what has changed since pages heard
@@ -65,7 +65,7 @@ class Screen:
 
     def looks_ahead(self, session: Session) -> bool:
         """Return whether some page shows planned paths."""
-        return bool(self._wanted.planned) or (self._wanted.planned_of_all and len(session.world) <= EVERYBODY)
+        return bool(self._wanted.planned) or (self._wanted.planned_of_all and len(session.world) <= MAX_PLANNED_AGENTS)
 
     def looked_ahead(self) -> None:
         """There is more, or less, of the time to come."""
@@ -94,7 +94,7 @@ class Screen:
         self.touched()
 
     def looked(self) -> None:
-        self._wanted = Wanted.by(self.live.clients.values())
+        self._wanted = Interest.by(self.live.clients.values())
         self._moved = True
 
     def greet(self, client: Client) -> None:
@@ -104,9 +104,9 @@ class Screen:
         if len(self.live.clients) == 1:
             self._program = self._files = False  # there are no other clients
         if self.live.is_open:
-            told = self._scene_message()
-            self._scene = self._scene if len(self.live.clients) > 1 else told
-            client.tell(told)
+            scene_message = self._scene_message()
+            self._scene = self._scene if len(self.live.clients) > 1 else scene_message
+            client.tell(scene_message)
         client.tell(messages.texts(self.live))
         client.tell(messages.problems(self.live))
         client.tell(messages.status(self.live, self._rate(), self._hash_now()))
@@ -152,19 +152,19 @@ class Screen:
             live.tell_all(messages.problems(live))
         if not laid:
             self._tell_scene(True)
-        if not playing or now - self._told_at >= _TOLD_EVERY:
+        if not playing or now - self._told_at >= _REPORT_INTERVAL:
             self._told_at = now
             self._tell_progress(session)
         if playing:
-            self.due = min(self.due, self._told_at + _TOLD_EVERY)
+            self.due = min(self.due, self._told_at + _REPORT_INTERVAL)
 
     def _show(self, session: Session, now: float) -> set[str]:
         """Send all pages the slots that changed, and return those slots."""
         self._shown_at = now
         going = session.playing or self.live.busy
-        seen, sent = Seen(session, self.live.ahead, self._wanted, self.live.light, now, going), set()
+        view_state, sent = ViewState(session, self.live.ahead, self._wanted, self.live.light, now, going), set()
         for view in self._views:
-            for slot, packet in view.packets(seen):
+            for slot, packet in view.packets(view_state):
                 self._standing[slot] = packet
                 sent.add(slot)
                 for client in self.live.clients:
@@ -173,10 +173,10 @@ class Screen:
 
     def _tell_scene(self, laid: bool) -> bool:
         """Send the scene message if it changed, with charts only if they are `laid` out; return `laid`."""
-        told = self._scene_message(laid)
-        if told != self._scene:
-            self._scene = told
-            self.live.tell_all(told)
+        scene_message = self._scene_message(laid)
+        if scene_message != self._scene:
+            self._scene = scene_message
+            self.live.tell_all(scene_message)
         return laid
 
     def _scene_message(self, laid: bool = True) -> dict[str, Any]:
@@ -184,10 +184,10 @@ class Screen:
         return scene(self.live, self._box, charts, self._charts.need)
 
     def _tell_progress(self, session: Session | None) -> None:
-        told = messages.status(self.live, self._rate(), self._hash_now())
-        if told != self._status:
-            self._status = told
-            self.live.tell_all(told)
+        status = messages.status(self.live, self._rate(), self._hash_now())
+        if status != self._status:
+            self._status = status
+            self.live.tell_all(status)
         if session is not None and session.timeline.stops != self._stops:
             self._stops = dict(session.timeline.stops)
             self.live.tell_all(messages.stops(self.live))

@@ -16,7 +16,7 @@ Packets = Iterator[tuple[str, bytes]]
 
 
 @dataclass(frozen=True, slots=True)
-class Wanted:
+class Interest:
     """All that some page looks at."""
 
     columns: frozenset[tuple[str, str]] = frozenset()  # species and attribute
@@ -28,7 +28,7 @@ class Wanted:
     planned_of_all: bool = False
 
     @classmethod
-    def by(cls, looks: Iterable[Look]) -> Wanted:
+    def by(cls, looks: Iterable[Look]) -> Interest:
         looks = list(looks)
         followed = dict.fromkeys(look.follow for look in looks if look.follow is not None)
         planned = [look.planned for look in looks if look.planned is not None]
@@ -44,13 +44,13 @@ class Wanted:
 
 
 @dataclass(frozen=True, slots=True)
-class Seen:
+class ViewState:
     """A snapshot: the session and the frames ahead, what pages look at, the remembered frame shown instead of the session's own,
     the clock."""
 
     session: Session
     ahead: Ahead
-    wanted: Wanted
+    interest: Interest
     light: int | None
     now: float
     going: bool  # it plays, or is on its way: the next moment comes soon
@@ -67,4 +67,4 @@ class Seen:
 class View(Protocol):
     """Makes the packets of one kind, and returns only those that changed."""
 
-    def packets(self, seen: Seen) -> Packets: ...
+    def packets(self, view_state: ViewState) -> Packets: ...

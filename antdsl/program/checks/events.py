@@ -14,7 +14,7 @@ def events(checked: Checked, report: Report) -> None:
     if any(species.node is None for species in declared.species.values()):
         return  # a species of another file may raise or notice what this one does not
     for event, span in declared.events.items():
-        _told(checked, event, span, report)
+        _report_unheard(checked, event, span, report)
         raised = any(checked.uses(op, event) for op in feeding("event"))
         noticed = checked.uses("on", event) or checked.uses("event", event)
         others = [name for name in declared.events if name != event]
@@ -35,7 +35,7 @@ def events(checked: Checked, report: Report) -> None:
             )
 
 
-def _told(checked: Checked, event: str, span: Span, report: Report) -> None:
+def _report_unheard(checked: Checked, event: str, span: Span, report: Report) -> None:
     """Report species of which agents receive an event that they do not notice."""
     for name in checked.declared.species:
         if checked.uses("told", f"{event} {name}") and not checked.uses("heard", f"{event} {name}"):

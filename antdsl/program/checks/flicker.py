@@ -16,8 +16,8 @@ def flicker(checked: Checked, report: Report) -> None:
     reader = Reader(checked.program.params)
     for species in checked.program.species.values():
         for machine in species.machines:
-            for there, back in _pairs(machine):
-                _pair(reader, machine, there, back, report)
+            for forward, back in _pairs(machine):
+                _pair(reader, machine, forward, back, report)
 
 
 def _pairs(machine: Machine) -> Iterator[tuple[tuple[State, Transition], tuple[State, Transition]]]:
@@ -32,12 +32,12 @@ def _pairs(machine: Machine) -> Iterator[tuple[tuple[State, Transition], tuple[S
 
 
 def _pair(
-    reader: Reader, machine: Machine, there: tuple[State, Transition], back: tuple[State, Transition], report: Report
+    reader: Reader, machine: Machine, forward: tuple[State, Transition], back: tuple[State, Transition], report: Report
 ) -> None:
-    (state, change), (other, returning) = there, back
-    if _waits(*there) or _waits(*back) or change.condition is None or returning.condition is None:
+    (state, change), (other, returning) = forward, back
+    if _waits(*forward) or _waits(*back) or change.condition is None or returning.condition is None:
         return
-    if _alters(machine, there, returning.condition) or _alters(machine, back, change.condition):
+    if _alters(machine, forward, returning.condition) or _alters(machine, back, change.condition):
         return
     if _overlap(reader, change.condition, returning.condition):
         report.warning(
@@ -51,7 +51,7 @@ def _pair(
 
 
 def _waits(state: State, change: Transition) -> bool:
-    return change.after is not None or change.held is not None or change.take is not None or state.at_least is not None
+    return change.delay is not None or change.held is not None or change.take is not None or state.at_least is not None
 
 
 def _overlap(reader: Reader, one: Expr, other: Expr) -> bool:
@@ -66,9 +66,9 @@ def _overlap(reader: Reader, one: Expr, other: Expr) -> bool:
     return any(a.meet(b) is not None for a in cases[0] for b in cases[1])
 
 
-def _alters(machine: Machine, way: tuple[State, Transition], test: Expr) -> bool:
+def _alters(machine: Machine, edge: tuple[State, Transition], test: Expr) -> bool:
     """Return whether that transition sets something that the test on the other side reads, or restarts its clock."""
-    state, change = way
+    state, change = edge
     assert change.target is not None
     blocks = (state.exit, change.actions, machine.states[change.target].enter)
     written = {line.attribute for block in blocks for line in block if isinstance(line, Assign)}

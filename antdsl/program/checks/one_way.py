@@ -17,7 +17,7 @@ from antdsl.program.types.descriptions import quoted
 def one_way(checked: Checked, report: Report) -> None:
     for species in checked.program.species.values():
         for attribute in species.attributes:
-            if not attribute.given:
+            if not attribute.is_builtin:
                 _attribute(checked, species, attribute, report)
     wholes = _wholes(checked.program) if checked.program.fields else ()
     named = [part(checked.declared, ("named", each), partial(_named, each)) for each in wholes]

@@ -53,10 +53,10 @@ def _rate(line: Assign | Ask | Give, amount: Expr, own: str, per_second: bool, b
     """Of what a line adds, which is times `dt`."""
     if not per_second or is_rate(amount, own):
         return
-    once = amount.args[0] if isinstance(amount, Op) and amount.name == "div" and _is_dt(amount.args[1]) else None
+    single_amount = amount.args[0] if isinstance(amount, Op) and amount.name == "div" and _is_dt(amount.args[1]) else None
     help, fix = "what a line of a state adds is times `dt` already: say how much a second, without `dt`", None
-    if once is not None and not timed(once) and _inside(once.span, line.span):
-        fix = Fix(amount.span, _a_second(_text(once.span)))
+    if single_amount is not None and not timed(single_amount) and _inside(single_amount.span, line.span):
+        fix = Fix(amount.span, _a_second(_text(single_amount.span)))
         help = f"write `{begins}{fix.text}`, which is as much at {FPS} frames a second"
     report.warning("per-frame", f"{quoted(line.span)} {_SO}", line.span, help, fix=fix)
 
@@ -72,15 +72,15 @@ def _assignment(line: Assign, driven: bool, report: Report) -> None:
     if not makers:
         return
     added = "" if timed(value) else _added(value, name)
-    fix, shown, more = None, "", ""
+    fix, display_text, addition = None, "", ""
     if added:
-        fix, shown = Fix(line.span, f"{name} {added}"), f"{name} {added}"
+        fix, display_text = Fix(line.span, f"{name} {added}"), f"{name} {added}"
     elif len(makers) == 1 and _inside(makers[0].span, line.span) and (text := _rewritten(makers[0], name)):
-        fix, shown = Fix(makers[0].span, text), f"{name} = {_replaced(value.span, makers[0].span, text)}"
+        fix, display_text = Fix(makers[0].span, text), f"{name} = {_replaced(value.span, makers[0].span, text)}"
         decay = _DECAY.fullmatch(text) if makers[0] is value else None
-        more = f", or `relax to 0 over {decay[1]}` where it is declared" if decay else ""
-    if shown:
-        help = f"write `{shown}`, which is as much at {FPS} frames a second{more}"
+        addition = f", or `relax to 0 over {decay[1]}` where it is declared" if decay else ""
+    if display_text:
+        help = f"write `{display_text}`, which is as much at {FPS} frames a second{addition}"
     elif value.type.kind is Kind.BOOL:
         help = f"do it once: in `enter {{ }}`, or in a change: `when after 1 s -> … {{ {_text(line.span)} }}`"
     elif any(_shrinks(each, name) for each in makers):
@@ -197,13 +197,13 @@ def _text(span: Span) -> str:
     return " ".join(span.text.split())
 
 
-def _inside(span: Span, whole: Span) -> bool:
-    return span.source is whole.source and whole.start <= span.start and span.end <= whole.end
+def _inside(span: Span, outer: Span) -> bool:
+    return span.source is outer.source and outer.start <= span.start and span.end <= outer.end
 
 
-def _replaced(whole: Span, span: Span, text: str) -> str:
+def _replaced(outer: Span, span: Span, text: str) -> str:
     """The text of a place with a part of it replaced."""
-    if not _inside(span, whole):
+    if not _inside(span, outer):
         return ""
-    before, after = whole.text[: span.start - whole.start], whole.text[span.end - whole.start :]
-    return " ".join(f"{before}{text}{after}".split())
+    prefix, suffix = outer.text[: span.start - outer.start], outer.text[span.end - outer.start :]
+    return " ".join(f"{prefix}{text}{suffix}".split())

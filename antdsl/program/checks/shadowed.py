@@ -21,13 +21,13 @@ def shadowed(checked: Checked, report: Report) -> None:
                     first = next((each for each in state.transitions[:place] if _hides(reader, each, change)), None)
                     above.setdefault(change.span, []).append(first)
                     changes[change.span] = change
-            for span, found in above.items():
-                if found[0] is not None and None not in found:
-                    _told(reader, changes[span], found[0], report)
+            for span, earlier_changes in above.items():
+                if earlier_changes[0] is not None and None not in earlier_changes:
+                    _report_shadowed(reader, changes[span], earlier_changes[0], report)
 
 
-def _told(reader: Reader, change: Transition, first: Transition, report: Report) -> None:
-    certain = first.after is None and first.held is None and always(reader, first.condition)
+def _report_shadowed(reader: Reader, change: Transition, first: Transition, report: Report) -> None:
+    certain = first.delay is None and first.held is None and always(reader, first.condition)
     label = "this one always happens" if certain else "this one happens whenever it could"
     report.warning(
         "shadowed-change", "this change is never looked at", change.span,
@@ -38,7 +38,7 @@ def _told(reader: Reader, change: Transition, first: Transition, report: Report)
 
 def _hides(reader: Reader, first: Transition, change: Transition) -> bool:
     """Whether the upper one happens whenever the lower one could. One that takes something may find nothing to take."""
-    if first.take is not None or not _sooner(first.after, change.after) or not _sooner(first.held, change.held):
+    if first.take is not None or not _sooner(first.delay, change.delay) or not _sooner(first.held, change.held):
         return False
     if change.condition is not None and never(reader, change.condition):
         return False  # that one is reported already, whatever is above it

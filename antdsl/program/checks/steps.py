@@ -21,9 +21,9 @@ def steps(checked: Checked, report: Report) -> None:
     if not checked.declared.strict:
         return
     for file in _files(checked.files):
-        around: dict[int, nodes.Setting | nodes.Given] = {}
+        around: dict[int, nodes.Setting | nodes.AnimalProperty] = {}
         for part, _ in written(file.node.items):
-            if isinstance(part, nodes.Setting | nodes.Given):
+            if isinstance(part, nodes.Setting | nodes.AnimalProperty):
                 around[id(part.value)] = part
             elif isinstance(part, nodes.Quantity) and (known := measure(part.unit)) is not None and known.step:
                 fix, help = _instead(part, known.step, around.get(id(part)))
@@ -32,31 +32,31 @@ def steps(checked: Checked, report: Report) -> None:
 
 def _files(files: Sequence[FileNames]) -> Iterator[FileNames]:
     """The files of the program and those that they use by path, each once."""
-    stack, seen = list(files), set[int]()
+    stack, visited = list(files), set[int]()
     while stack:
         file = stack.pop()
-        if id(file) not in seen and not file.missing:
-            seen.add(id(file))
+        if id(file) not in visited and not file.missing:
+            visited.add(id(file))
             stack += file.aliases.values()
             yield file
 
 
-def _instead(node: nodes.Quantity, power: float, around: nodes.Setting | nodes.Given | None) -> tuple[Fix | None, str]:
+def _instead(node: nodes.Quantity, power: float, around: nodes.Setting | nodes.AnimalProperty | None) -> tuple[Fix | None, str]:
     """Return the replacement for a quantity in steps, and the text that describes it."""
     if isinstance(around, nodes.Setting) and around.name.text == "keeps":
         share = node.value * (0.01 if "%" in node.unit else 1.0)
         if not 0 < share < 1:
             return None, "say how fast it fades: `half_life 8 s`"
-        return _told(around.span, f"half_life {-math.log(2) / math.log(share) / FPS:.3g} s", "fades as fast")
-    if isinstance(around, nodes.Given) and around.name.text == "response" and node.value <= 1:
+        return _describe_fix(around.span, f"half_life {-math.log(2) / math.log(share) / FPS:.3g} s", "fades as fast")
+    if isinstance(around, nodes.AnimalProperty) and around.name.text == "response" and node.value <= 1:
         return Fix(node.span, "0.001 s"), "write `response 0.001 s`, which is at once at any rate"
     if node.unit == "step":
-        return _told(node.span, f"{node.value / FPS:.3g} s", "is as long")
+        return _describe_fix(node.span, f"{node.value / FPS:.3g} s", "is as long")
     if power == -1 and node.unit.endswith("/step"):
         unit = f"{node.unit.removesuffix('/step')}/s"
-        return _told(node.span, f"{node.value * FPS:.6g} {unit}", "is as much")
+        return _describe_fix(node.span, f"{node.value * FPS:.6g} {unit}", "is as much")
     return None, "say it in seconds"
 
 
-def _told(span: Span, text: str, words: str) -> tuple[Fix, str]:
+def _describe_fix(span: Span, text: str, words: str) -> tuple[Fix, str]:
     return Fix(span, text), f"write `{text}`, which {words} at {FPS} frames a second"

@@ -34,7 +34,7 @@ def _species(checked: Checked, species: Species, report: Report) -> None:
             )
     for attribute in species.attributes:
         name = f"{species.name}.{attribute.name}"
-        if not attribute.given and not checked.uses("attribute", name) and name not in checked.declared.written:
+        if not attribute.is_builtin and not checked.uses("attribute", name) and name not in checked.declared.written:
             report.warning(
                 "unused-attribute", f"attribute `{attribute.name}` is never used", attribute.span, "use it, or delete it"
             )

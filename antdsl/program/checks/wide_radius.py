@@ -48,11 +48,11 @@ def _of_agents(part: SetOf, only_the_nearest: bool) -> bool:
 
 def _names(expr: Expr) -> list[Expr]:
     """Return an expression and, if it is a name, the expressions behind it."""
-    found = [expr]
+    exprs = [expr]
     while isinstance(expr, Local) and expr.binding.role in ("argument", "let") and expr.binding.value is not None:
         expr = expr.binding.value
-        found.append(expr)
-    return found
+        exprs.append(expr)
+    return exprs
 
 
 def _radius(expr: Expr, params: Mapping[str, Param]) -> Const | None:

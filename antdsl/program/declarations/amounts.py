@@ -29,34 +29,34 @@ HANDLER = Block(body=False, commuting=True)
 
 
 def added(
-    scope: Scope, node: nodes.Expr, type: Type, block: Block, before: str, after: str = "", level: bool = False
+    scope: Scope, node: nodes.Expr, type: Type, block: Block, prefix: str, suffix: str = "", level: bool = False
 ) -> Expr | None:
-    """Return the added value: a rate per second in a state's body, else an amount; with `level` always an amount. `before` and
-    `after`: the author's words around it."""
+    """Return the added value: a rate per second in a state's body, else an amount; with `level` always an amount. `prefix` and
+    `suffix`: the author's words around it."""
     per_second = Type(type.kind, product(type.dim, Dim(time=1), -1))
     want = per_second if block.body else type
-    found = value(scope, node, want)
-    if found.type.kind is Kind.BAD:
+    expr = value(scope, node, want)
+    if expr.type.kind is Kind.BAD:
         return None
-    if level and found.type == type:
-        return found
-    if fits(found.type, want):
-        return found
+    if level and expr.type == type:
+        return expr
+    if fits(expr.type, want):
+        return expr
     text = " ".join(node.span.text.split())
-    if block.body and fits(found.type, type):
+    if block.body and fits(expr.type, type):
         better = _as_rate(node, text)
         scope.report.error(
             "not-a-rate", f"{quoted(node.span)} is an amount, and this line runs in every step", node.span,
-            f"say per what time: `{before}{better}{after}`", fix=Fix(node.span, better),
+            f"say per what time: `{prefix}{better}{suffix}`", fix=Fix(node.span, better),
         )  # fmt: skip
-    elif not block.body and fits(found.type, per_second):
+    elif not block.body and fits(expr.type, per_second):
         better = text[: -len("/s")].rstrip() if text.endswith("/s") else f"{_bracketed(node, text)} * 1 s"
         scope.report.error(
             "not-an-amount", f"{quoted(node.span)} is a rate, and this happens once", node.span,
-            f"say how much: `{before}{better}{after}`", fix=Fix(node.span, better),
+            f"say how much: `{prefix}{better}{suffix}`", fix=Fix(node.span, better),
         )  # fmt: skip
     else:
-        mismatch(scope.report, node, found.type, want, f"`{before.strip()}`")
+        mismatch(scope.report, node, expr.type, want, f"`{prefix.strip()}`")
     return None
 
 

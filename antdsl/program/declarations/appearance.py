@@ -13,7 +13,7 @@ from antdsl.program.names.scope import NUMBER, TIME, Scope
 from antdsl.program.typed import Expr
 from antdsl.program.types.arguments import Slot, arranged, place, type_all
 from antdsl.program.types.folding import constant_behind
-from antdsl.program.types.operators import condition, wanted
+from antdsl.program.types.operators import condition, value_of_type
 from antdsl.syntax import nodes
 
 _NUMBERS, _NAMES, _CONDITIONS = ("speed", "weight"), ("on", "left", "right", "up", "down"), ("again", "add")
@@ -37,7 +37,7 @@ def wear(scope: Scope, line: nodes.Ask, block: Block) -> model.Wear | None:
 def channel(scope: Scope, line: nodes.Ask, block: Block) -> model.Channel | None:
     """`channel jaw = load`; None after a complaint."""
     assert line.name is not None and line.amount is not None
-    value = wanted(scope, line.amount, NUMBER, f"`channel {line.name.text}`")
+    value = value_of_type(scope, line.amount, NUMBER, f"`channel {line.name.text}`")
     if _misplaced(scope, line, block) or value.type.kind is Kind.BAD:
         return None
     return model.Channel(line.name.text, value, line.span)
@@ -46,14 +46,14 @@ def channel(scope: Scope, line: nodes.Ask, block: Block) -> model.Channel | None
 def look(scope: Scope, line: nodes.Ask, block: Block) -> model.Look | None:
     """`look head(at: meal, within: 60 deg, over: 0.2 s)`; None after a complaint."""
     assert line.name is not None
-    found = arranged(scope, "look", _SLOTS, line, f"look {line.name.text}")
-    if found is None:
+    arguments_by_slot = arranged(scope, "look", _SLOTS, line, f"look {line.name.text}")
+    if arguments_by_slot is None:
         type_all(scope, line)
         return None
-    given = {name: arguments[0].value for name, arguments in found.items()}
-    at = place(scope, given["at"], "`at` of `look`")
-    within = wanted(scope, given["within"], _ANGLE, "`within` of `look`") if "within" in given else None
-    over = wanted(scope, given["over"], TIME, "`over` of `look`") if "over" in given else None
+    argument_nodes = {name: arguments[0].value for name, arguments in arguments_by_slot.items()}
+    at = place(scope, argument_nodes["at"], "`at` of `look`")
+    within = value_of_type(scope, argument_nodes["within"], _ANGLE, "`within` of `look`") if "within" in argument_nodes else None
+    over = value_of_type(scope, argument_nodes["over"], TIME, "`over` of `look`") if "over" in argument_nodes else None
     said = [each for each in (at, within, over) if each is not None]
     if _misplaced(scope, line, block) or any(each.type.kind is Kind.BAD for each in said):
         return None
@@ -73,13 +73,13 @@ def said_once(scope: Scope, node: nodes.State) -> None:
     for line in node.body:
         if not isinstance(line, nodes.Ask) or line.verb not in ("channel", "look") or line.name is None:
             continue
-        before = first.setdefault((line.verb, line.name.text), line)
-        if before is not line:
+        first_line = first.setdefault((line.verb, line.name.text), line)
+        if first_line is not line:
             does = "sets channel" if line.verb == "channel" else "turns"
             words = f"`{node.name.text}` {does} `{line.name.text}` already, and only the second would count"
             scope.report.error(
                 "two-writers", words, line.span,
-                "keep one of them; choose with `if … then … else …`", labels=(Label(before.span, "first here"),),
+                "keep one of them; choose with `if … then … else …`", labels=(Label(first_line.span, "first here"),),
             )  # fmt: skip
 
 
@@ -98,8 +98,8 @@ def play(scope: Scope, line: nodes.Ask, block: Block) -> model.Play | None:
     """`play walk`, `play walk(speed: 0.5)`, `play wave(on: arms, weight: 0.8)`; None after a complaint."""
     assert line.name is not None
     clip = line.name.text
-    found = arranged(scope, "play", _CLIP_SLOTS, line, f"play {clip}") if line.arguments else {}
-    if found is None:
+    arguments_by_slot = arranged(scope, "play", _CLIP_SLOTS, line, f"play {clip}") if line.arguments else {}
+    if arguments_by_slot is None:
         type_all(scope, _without_names(line))
         return None
     if not block.body:
@@ -108,12 +108,16 @@ def play(scope: Scope, line: nodes.Ask, block: Block) -> model.Play | None:
             f"write `play {clip}` as a line of the state itself",
         )  # fmt: skip
         return None
-    given = {name: arguments[0].value for name, arguments in found.items()}
+    argument_nodes = {name: arguments[0].value for name, arguments in arguments_by_slot.items()}
     said: dict[str, Expr] = {}
-    for name in (each for each in (*_NUMBERS, *_CONDITIONS) if each in given):
+    for name in (each for each in (*_NUMBERS, *_CONDITIONS) if each in argument_nodes):
         who = f"`{name}` of `play`"
-        said[name] = wanted(scope, given[name], NUMBER, who) if name in _NUMBERS else condition(scope, given[name], who)
-    names = {name: _name(scope, clip, name, given[name]) for name in _NAMES if name in given}
+        said[name] = (
+            value_of_type(scope, argument_nodes[name], NUMBER, who)
+            if name in _NUMBERS
+            else condition(scope, argument_nodes[name], who)
+        )
+    names = {name: _name(scope, clip, name, argument_nodes[name]) for name in _NAMES if name in argument_nodes}
     if any(each.type.kind is Kind.BAD for each in said.values()) or None in names.values():
         return None
     if not all([_sensible(scope, clip, name, each) for name, each in said.items()]):
@@ -144,10 +148,10 @@ def _name(scope: Scope, clip: str, argument: str, node: nodes.Expr) -> str | Non
     return None
 
 
-def _sensible(scope: Scope, clip: str, argument: str, found: Expr) -> bool:
+def _sensible(scope: Scope, clip: str, argument: str, expr: Expr) -> bool:
     """Return whether a value suits its argument; report an error for an unsuitable constant."""
-    known = constant_behind(found)
-    text = " ".join(found.span.text.split())
+    known = constant_behind(expr)
+    text = " ".join(expr.span.text.split())
     words, help = "", ""
     if argument == "add" and known is None:
         words, help = (f"`add` of `play` is one value for all agents, but `{text}` may differ", f"write `play {clip}(add: true)`")
@@ -156,7 +160,7 @@ def _sensible(scope: Scope, clip: str, argument: str, found: Expr) -> bool:
     elif argument == "speed" and known is not None and known.number < 0:
         words, help = f"a clip goes ahead only, and `{text}` is below 0", f"write `play {clip}(speed: 1.5)`"
     if words:
-        scope.report.error("out-of-range" if known is not None else "wrong-argument", words, found.span, help)
+        scope.report.error("out-of-range" if known is not None else "wrong-argument", words, expr.span, help)
     return not words
 
 

@@ -6,7 +6,7 @@ from antdsl.program import model
 from antdsl.program.declarations.amounts import Block, added
 from antdsl.program.kinds import Kind, Type
 from antdsl.program.names.collect import EVENTS
-from antdsl.program.names.scope import BAD, Scope, bad, did_you_mean, told_before, type_from_words
+from antdsl.program.names.scope import BAD, Scope, bad, did_you_mean, is_known_missing, type_from_words
 from antdsl.program.tables.defaults import default_of
 from antdsl.program.tables.effects import EFFECTS, Effect
 from antdsl.program.tables.rows import Arg
@@ -16,7 +16,7 @@ from antdsl.program.typed import Expr
 from antdsl.program.types.arguments import Slot, arranged, type_all
 from antdsl.program.types.calls import within_row
 from antdsl.program.types.descriptions import mismatch, quoted
-from antdsl.program.types.operators import value, wanted
+from antdsl.program.types.operators import value, value_of_type
 from antdsl.syntax import nodes
 
 Written = dict[str, nodes.Expr]
@@ -28,10 +28,17 @@ def ask(scope: Scope, line: nodes.Ask, block: Block) -> model.Ask | None:
     of = line.name.text if line.name is not None else ""
     form = f"{row.op} {of}".rstrip()
     written = _written(scope, row, line, form)
-    given = written or {}
-    args = [_number(scope, row, line, arg, given, block, form) for arg in row.numbers]
-    own = next((_own(scope, row, arg, given[arg.name]) for arg in row.args if arg not in row.numbers and arg.name in given), None)
-    if not _there(scope, row, line.name) or written is None or _lacks(scope, row, line, written, form):
+    argument_nodes = written or {}
+    args = [_number(scope, row, line, arg, argument_nodes, block, form) for arg in row.numbers]
+    own = next(
+        (
+            _own(scope, row, arg, argument_nodes[arg.name])
+            for arg in row.args
+            if arg not in row.numbers and arg.name in argument_nodes
+        ),
+        None,
+    )
+    if not _is_declared(scope, row, line.name) or written is None or _lacks(scope, row, line, written, form):
         return None
     if row.too_often and block.body:
         scope.report.error(
@@ -39,11 +46,11 @@ def ask(scope: Scope, line: nodes.Ask, block: Block) -> model.Ask | None:
             f"do it once: `enter {{ {row.op} … }}`, or in a change: `when chance 10 %/s -> … {{ {row.op} … }}`",
         )  # fmt: skip
         return None
-    for arg, found in zip(row.numbers, args, strict=True):
-        if found is not None:
+    for arg, arg_value in zip(row.numbers, args, strict=True):
+        if arg_value is not None:
             sample = f"{form}({arg.name}: {arg.sample})" if arg.sample else ""
-            within_row(scope, arg, f"`{arg.name}` of `{row.op}`", found.span, found, sample)
-    if any(found is not None and found.type.kind is Kind.BAD for found in args):
+            within_row(scope, arg, f"`{arg.name}` of `{row.op}`", arg_value.span, arg_value, sample)
+    if any(arg_value is not None and arg_value.type.kind is Kind.BAD for arg_value in args):
         return None
     per_second = block.body and line.amount is not None and args[0] is not None and args[0].type != argument_type(row.numbers[0])
     key = scope.keys.next(row.op) if row.draws else ""
@@ -66,11 +73,11 @@ def _written(scope: Scope, row: Effect, line: nodes.Ask, form: str) -> Written |
     if not line.arguments:
         return behind
     slots = [Slot(arg.name, required=arg.default is None and not arg.optional) for arg in row.args if arg.type != "agent"]
-    found = arranged(scope, row.op, slots, line, form)
-    if found is None:
+    arguments_by_slot = arranged(scope, row.op, slots, line, form)
+    if arguments_by_slot is None:
         type_all(scope, line)
         return None
-    return {name: arguments[0].value for name, arguments in found.items()} | behind
+    return {name: arguments[0].value for name, arguments in arguments_by_slot.items()} | behind
 
 
 def _number(scope: Scope, row: Effect, line: nodes.Ask, arg: Arg, written: Written, block: Block, form: str) -> Expr | None:
@@ -79,37 +86,37 @@ def _number(scope: Scope, row: Effect, line: nodes.Ask, arg: Arg, written: Writt
     if node is None:
         return None if arg.default is None else default_of(scope, arg.default, line.span)[0]
     if arg.type == "agent":
-        return _whom(scope, row, line, node)
+        return _recipient(scope, row, line, node)
     if not arg.type.startswith("added "):
-        return wanted(scope, node, argument_type(arg), f"`{arg.name}` of `{row.op}`")
+        return value_of_type(scope, node, argument_type(arg), f"`{arg.name}` of `{row.op}`")
     level = row.target == "field" and line.name is not None and _keeps_greatest(scope, line.name.text)
     return added(scope, node, argument_type(arg), block, f"{form} ", level=level) or bad(node.span)
 
 
-def _whom(scope: Scope, row: Effect, line: nodes.Ask, node: nodes.Expr) -> Expr:
+def _recipient(scope: Scope, row: Effect, line: nodes.Ask, node: nodes.Expr) -> Expr:
     """Return the one agent that a line addresses, of a species that handles its event."""
-    found = value(scope, node)
-    if found.type.kind is Kind.BAD:
-        return found
+    expr = value(scope, node)
+    if expr.type.kind is Kind.BAD:
+        return expr
     text = " ".join(node.span.text.split())
-    if found.type.kind is Kind.SPECIES:
+    if expr.type.kind is Kind.SPECIES:
         scope.report.error(
             "wrong-kind", f"`{text}` is a whole species, and `{row.op} … to` is for one agent", node.span,
             f"say which one: `to nearest({text})`",
         )  # fmt: skip
         return bad(node.span)
-    if found.type.kind is not Kind.AGENT:
-        mismatch(scope.report, node, found.type, Type(Kind.AGENT), f"`{row.op} … to`")
+    if expr.type.kind is not Kind.AGENT:
+        mismatch(scope.report, node, expr.type, Type(Kind.AGENT), f"`{row.op} … to`")
         return bad(node.span)
-    if found.type.of is None:
+    if expr.type.of is None:
         scope.report.error(
             "wrong-argument", f"it is not known of which species {quoted(node.span)} is", node.span,
             "name the species where the agent is looked for, such as `nearest(neighbours(20 mm, of: rabbit))`",
         )  # fmt: skip
         return bad(node.span)
     if line.name is not None:
-        scope.use("told", f"{line.name.text} {found.type.of}")
-    return found
+        scope.use("told", f"{line.name.text} {expr.type.of}")
+    return expr
 
 
 def _own(scope: Scope, row: Effect, arg: Arg, node: nodes.Expr) -> str | None:
@@ -144,7 +151,7 @@ def _lacks(scope: Scope, row: Effect, line: nodes.Ask, written: Written, form: s
     return bool(missing)
 
 
-def _there(scope: Scope, row: Effect, name: nodes.Name | None) -> bool:
+def _is_declared(scope: Scope, row: Effect, name: nodes.Name | None) -> bool:
     """Return whether the thing that a line names is declared; report an error if not. An event is declared by being emitted."""
     if name is None:
         return True
@@ -170,7 +177,7 @@ def _there(scope: Scope, row: Effect, name: nodes.Name | None) -> bool:
             kind, code, message = "thing", "unknown-name", f"no {word} `{text}` to {row.op}"
     if text in known:
         scope.use(kind, text)
-    elif kind != "field" or not told_before(scope, "name", name):
+    elif kind != "field" or not is_known_missing(scope, "name", name):
         scope.report.error(code, message, name.span, did_you_mean(text, known, otherwise and f"declare it: `{otherwise}`"))
     return text in known
 

@@ -9,12 +9,12 @@ from antdsl.program import model
 from antdsl.program.declarations.behaviours import declared_type
 from antdsl.program.model import Expr, Kind
 from antdsl.program.names.ordering import ordered
-from antdsl.program.names.scope import BAD, Keys, Scope, bad, did_you_mean, duplicate, told_before, type_from_words
+from antdsl.program.names.scope import BAD, Keys, Scope, bad, did_you_mean, duplicate, is_known_missing, type_from_words
 from antdsl.program.tables.defaults import node_of
-from antdsl.program.tables.vocabulary import BUILTINS, GIVEN, OTHER_SENSES, REDUCERS
+from antdsl.program.tables.vocabulary import BUILTIN_ATTRIBUTES, BUILTINS, OTHER_SENSES, REDUCERS
 from antdsl.program.types.descriptions import quoted, type_words
 from antdsl.program.types.folding import constant_behind
-from antdsl.program.types.operators import value, wanted
+from antdsl.program.types.operators import value, value_of_type
 from antdsl.source import Span
 from antdsl.syntax import nodes
 from antdsl.syntax.words import WORDS
@@ -29,45 +29,47 @@ _EARLY = "starting values are computed before the animal has sensed anything"
 
 def attributes(scope: Scope, node: nodes.Species) -> list[model.AttributeDecl]:
     """Return built-in and own attributes, ordered so that an attribute comes after those that it starts from."""
-    declared: dict[str, nodes.Declaration | nodes.Given] = {}
-    for name, row in GIVEN.items():
+    declared: dict[str, nodes.Declaration | nodes.AnimalProperty] = {}
+    for name, row in BUILTIN_ATTRIBUTES.items():
         if row.settable and row.default is not None:
-            declared[name] = nodes.Given(
+            declared[name] = nodes.AnimalProperty(
                 nodes.Name(name, node.name.span), node_of(row.default, node.name.span), None, node.name.span
             )
     written: dict[str, Span] = {}
     for member in node.members:
-        if isinstance(member, nodes.Given):
+        if isinstance(member, nodes.AnimalProperty):
             if member.name.text in written:
                 duplicate(scope.report, "property", member.name, written[member.name.text])
             if _settable(scope, member):
                 declared[member.name.text] = member
             written.setdefault(member.name.text, member.name.span)
-        elif isinstance(member, nodes.Declaration) and member.name.text not in GIVEN:
+        elif isinstance(member, nodes.Declaration) and member.name.text not in BUILTIN_ATTRIBUTES:
             declared.setdefault(member.name.text, member)
     order, circular = ordered(scope.report, "starting values", declared, lambda d: [d.value], lambda d: d.name)
-    found = [_attribute(scope, each, each.name.text in circular) for each in order]
-    _speeds(scope, found, declared)
-    return found
+    declarations = [_attribute(scope, each, each.name.text in circular) for each in order]
+    _speeds(scope, declarations, declared)
+    return declarations
 
 
-def _speeds(scope: Scope, found: list[model.AttributeDecl], declared: Mapping[str, nodes.Declaration | nodes.Given]) -> None:
+def _speeds(
+    scope: Scope, declarations: list[model.AttributeDecl], declared: Mapping[str, nodes.Declaration | nodes.AnimalProperty]
+) -> None:
     """Check that the lowest speed of a species is not above the highest, if both are known."""
-    known = {each.name: constant_behind(each.default) for each in found if each.name in ("min_speed", "max_speed")}
+    known = {each.name: constant_behind(each.default) for each in declarations if each.name in ("min_speed", "max_speed")}
     least, most = known.get("min_speed"), known.get("max_speed")
     if least is None or most is None or (least.u, least.step) != (most.u, most.step) or least.number <= most.number:
         return
     place, fastest = declared["min_speed"].value.span, declared["max_speed"]
     usual = fastest.span == fastest.name.span  # it is what it is where nothing is written
-    text = f"`{GIVEN['max_speed'].default}`" if usual else quoted(fastest.value.span)
+    text = f"`{BUILTIN_ATTRIBUTES['max_speed'].default}`" if usual else quoted(fastest.value.span)
     scope.report.error("out-of-range", f"`min_speed` is more than `max_speed`, which is {text}", place, f"write {text} or less")
 
 
-def _settable(scope: Scope, member: nodes.Given) -> bool:
-    row, name = GIVEN.get(member.name.text), member.name
+def _settable(scope: Scope, member: nodes.AnimalProperty) -> bool:
+    row, name = BUILTIN_ATTRIBUTES.get(member.name.text), member.name
     if row is not None and row.settable:
         return True
-    known = [n for n, g in GIVEN.items() if g.settable]
+    known = [n for n, g in BUILTIN_ATTRIBUTES.items() if g.settable]
     if row is None and scope.species and isinstance(member.value, nodes.NameRef) and names_state(scope, member.value.name.text):
         known = ["start"]  # `strat search`: only that word is followed by a state
         if nearest_name(name.text, known):
@@ -84,7 +86,7 @@ def _settable(scope: Scope, member: nodes.Given) -> bool:
             name.span,
             _belongs(name.text) or did_you_mean(name.text, known, f"an attribute of your own is written `{name.text} = {text}`"),
         )
-        told_before(scope, "name", name)  # it was to be declared here
+        is_known_missing(scope, "name", name)  # it was to be declared here
     value(scope.inside(once=True), member.value)
     return False
 
@@ -102,14 +104,14 @@ def names_state(scope: Scope, word: str) -> bool:
     return scope.species is not None and any(word in machine.states for machine in scope.species.machines.values())
 
 
-def _attribute(scope: Scope, node: nodes.Declaration | nodes.Given, circular: bool) -> model.AttributeDecl:
+def _attribute(scope: Scope, node: nodes.Declaration | nodes.AnimalProperty, circular: bool) -> model.AttributeDecl:
     names, name = scope.species, node.name.text
     assert names is not None
     inner = scope.inside(keys=Keys(f"{names.name}.{name}"), no_let=_EARLY, once=True)
     help = node.help.text if node.help else ""
-    if isinstance(node, nodes.Given):
-        type = type_from_words(GIVEN[name].type) or BAD
-        default = bad(node.value.span) if circular else wanted(inner, node.value, type, f"`{name}`")
+    if isinstance(node, nodes.AnimalProperty):
+        type = type_from_words(BUILTIN_ATTRIBUTES[name].type) or BAD
+        default = bad(node.value.span) if circular else value_of_type(inner, node.value, type, f"`{name}`")
         _positive(scope, node, default)
         return model.AttributeDecl(name, type, default, True, help, node.name.span)
     stated = declared_type(scope, node.type) if node.type is not None else None
@@ -117,7 +119,7 @@ def _attribute(scope: Scope, node: nodes.Declaration | nodes.Given, circular: bo
     if circular:
         default = bad(node.value.span)
     else:
-        default = value(inner, node.value) if stated is None else wanted(inner, node.value, stated, f"`{name}`")
+        default = value(inner, node.value) if stated is None else value_of_type(inner, node.value, stated, f"`{name}`")
     type = stated or default.type
     if type.kind not in _STORED:
         scope.report.error(
@@ -140,7 +142,7 @@ def _attribute(scope: Scope, node: nodes.Declaration | nodes.Given, circular: bo
     return model.AttributeDecl(name, type, default, False, help, node.name.span)
 
 
-def _positive(scope: Scope, node: nodes.Given, default: Expr) -> None:
+def _positive(scope: Scope, node: nodes.AnimalProperty, default: Expr) -> None:
     constant = constant_behind(default)
     if constant is not None and (constant.number < 0 or (constant.number == 0 and node.name.text not in _MAY_BE_0)):
         help = "write 0 or more" if node.name.text in _MAY_BE_0 else "write more than 0"

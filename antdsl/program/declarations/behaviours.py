@@ -24,7 +24,7 @@ from antdsl.program.traverse import written
 from antdsl.program.types.arguments import Slot, arranged, place, type_all
 from antdsl.program.types.descriptions import fits, mismatch, quoted, type_words
 from antdsl.program.types.expressions import THINGS
-from antdsl.program.types.operators import value, wanted
+from antdsl.program.types.operators import value, value_of_type
 from antdsl.syntax import nodes
 
 _STORED = frozenset({Kind.NUMBER, Kind.VECTOR, Kind.BOOL, Kind.ITEM, Kind.AGENT, Kind.BAD})
@@ -200,26 +200,26 @@ def _body(scope: Scope, info: BehaviourInfo) -> tuple[list[Binding], Expr]:
     bindings: list[Binding] = []
     local = dict(scope.locals)
     for line in info.node.body:
-        here = scope.inside(locals=dict(local))
+        line_scope = scope.inside(locals=dict(local))
         if line.name.text in local:
             first = next((b.span for b in bindings if b.name == line.name.text), info.node.name.span)
             duplicate(scope.report, "name", line.name, first)
-        binding = _keep(here, line) if isinstance(line, nodes.Keep) else _let(here, line)
+        binding = _keep(line_scope, line) if isinstance(line, nodes.Keep) else _let(line_scope, line)
         local[line.name.text] = binding
         bindings.append(binding)
     return bindings, value(scope.inside(locals=local), info.node.result, returned_type(scope, info.node))
 
 
 def _let(scope: Scope, line: nodes.Let) -> Binding:
-    found = scope.typed(line.value)
-    return Binding(line.name.text, "let", found.type, found.rate, line.name.span, found)
+    expr = scope.typed(line.value)
+    return Binding(line.name.text, "let", expr.type, expr.rate, line.name.span, expr)
 
 
 def _keep(scope: Scope, line: nodes.Keep) -> Binding:
-    wanted_type = declared_type(scope, line.type) if line.type else None
+    expected_type = declared_type(scope, line.type) if line.type else None
     who = f"`keep {line.name.text}`"
-    first = value(scope, line.first) if wanted_type is None else wanted(scope, line.first, wanted_type, who)
-    type = wanted_type or first.type
+    first = value(scope, line.first) if expected_type is None else value_of_type(scope, line.first, expected_type, who)
+    type = expected_type or first.type
     if type.kind not in _STORED:
         scope.report.error(
             "wrong-kind",
@@ -231,7 +231,7 @@ def _keep(scope: Scope, line: nodes.Keep) -> Binding:
     binding = Binding(line.name.text, "keep", type, Rate.AGENT, line.name.span, first, None, key)
     inner = scope.inside(locals={**scope.locals, line.name.text: binding})
     # the next value may read the one before, so the binding is there first and is closed here, still inside this function
-    object.__setattr__(binding, "then", wanted(inner, line.then, type, who))
+    object.__setattr__(binding, "then", value_of_type(inner, line.then, type, who))
     return binding
 
 
@@ -251,15 +251,15 @@ def call_behaviour(scope: Scope, node: nodes.Call, want: Type | None) -> Expr:
         type_all(scope, node)
         return bad(node.span)
     slots = [Slot(a.name.text, a.default is None) for a in info.node.arguments]
-    found = arranged(scope, name, slots, node)
-    if found is None:
+    arguments_by_slot = arranged(scope, name, slots, node)
+    if arguments_by_slot is None:
         type_all(scope, node)
         return bad(node.span)
     if not _allowed(scope, info, node):
         return bad(node.span)
     if scope.generic:
-        return _by_itself(scope, info, node, {slot: arguments[0].value for slot, arguments in found.items()})
-    return _in_place(scope, info, node, {slot: arguments[0].value for slot, arguments in found.items()})
+        return _by_itself(scope, info, node, {slot: arguments[0].value for slot, arguments in arguments_by_slot.items()})
+    return _in_place(scope, info, node, {slot: arguments[0].value for slot, arguments in arguments_by_slot.items()})
 
 
 def call_unwritten(scope: Scope, info: BehaviourInfo, node: nodes.Call) -> Expr:
@@ -324,9 +324,9 @@ def _allowed(scope: Scope, info: BehaviourInfo, node: nodes.Call) -> bool:
         return False
     if scope.behaviour is not None:
         return True  # its size was counted with the behaviour that calls it
-    before, declared.expanded = declared.expanded, declared.expanded + info.size
+    previous_size, declared.expanded = declared.expanded, declared.expanded + info.size
     if declared.expanded > limits.NODES:
-        if before <= limits.NODES:
+        if previous_size <= limits.NODES:
             scope.report.error(
                 "too-large",
                 f"with `{name}` put in place this is more than {limits.NODES:,} operations",
@@ -337,16 +337,18 @@ def _allowed(scope: Scope, info: BehaviourInfo, node: nodes.Call) -> bool:
     return True
 
 
-def _by_itself(scope: Scope, info: BehaviourInfo, node: nodes.Call, given: Mapping[str, nodes.Expr]) -> Expr:
+def _by_itself(scope: Scope, info: BehaviourInfo, node: nodes.Call, argument_nodes: Mapping[str, nodes.Expr]) -> Expr:
     """Type a call inside a behaviour that is checked alone: the arguments count, its body was checked separately."""
     quiet = scope.inside(report=Report())
     for argument in info.node.arguments:
-        if argument.name.text in given:
-            _argument_value(scope, info.node.name.text, argument, given[argument.name.text], argument_type(quiet, argument))
+        if argument.name.text in argument_nodes:
+            _argument_value(
+                scope, info.node.name.text, argument, argument_nodes[argument.name.text], argument_type(quiet, argument)
+            )
     return Op(returned_type(quiet, info.node), Rate.ELEMENT if scope.sets else Rate.AGENT, node.span, "call", ())
 
 
-def _in_place(scope: Scope, info: BehaviourInfo, node: nodes.Call, given: Mapping[str, nodes.Expr]) -> Expr:
+def _in_place(scope: Scope, info: BehaviourInfo, node: nodes.Call, argument_nodes: Mapping[str, nodes.Expr]) -> Expr:
     name = info.node.name.text
     key = scope.keys.next(name)
     report = Report()
@@ -355,19 +357,19 @@ def _in_place(scope: Scope, info: BehaviourInfo, node: nodes.Call, given: Mappin
     local: dict[str, Binding | Expr] = {}
     for argument in info.node.arguments:
         type = argument_type(inner, argument)
-        node_given = given.get(argument.name.text)
+        node_given = argument_nodes.get(argument.name.text)
         if node_given is not None:
-            found = _argument_value(scope, name, argument, node_given, type)
+            expr = _argument_value(scope, name, argument, node_given, type)
         else:
             assert argument.default is not None
-            found = _argument_value(inner.inside(locals=dict(local)), name, argument, argument.default, type)
-        if found.type.kind is Kind.BAD:
+            expr = _argument_value(inner.inside(locals=dict(local)), name, argument, argument.default, type)
+        if expr.type.kind is Kind.BAD:
             type_all(scope, node)
             return bad(node.span)
-        if found.type.kind in THINGS:
-            local[argument.name.text] = found
+        if expr.type.kind in THINGS:
+            local[argument.name.text] = expr
             continue
-        binding = Binding(argument.name.text, "argument", found.type, found.rate, argument.name.span, found)
+        binding = Binding(argument.name.text, "argument", expr.type, expr.rate, argument.name.span, expr)
         local[argument.name.text] = binding
         arguments.append(binding)
     body, result = _body(inner.inside(locals=local), info)
@@ -388,9 +390,9 @@ def _argument_value(scope: Scope, called: str, argument: nodes.BehaviourArgument
     if type.kind is Kind.BAD:
         return value(scope, node)
     if type.kind in THINGS:
-        found = scope.typed(node, type)
-        if fits(found.type, type) or (type.kind is Kind.OBSTACLE and found.type.kind in (Kind.SURFACE, Kind.SOLID)):
-            return found
-        mismatch(scope.report, node, found.type, type, who)
+        expr = scope.typed(node, type)
+        if fits(expr.type, type) or (type.kind is Kind.OBSTACLE and expr.type.kind in (Kind.SURFACE, Kind.SOLID)):
+            return expr
+        mismatch(scope.report, node, expr.type, type, who)
         return bad(node.span)
-    return wanted(scope, node, type, who)
+    return value_of_type(scope, node, type, who)

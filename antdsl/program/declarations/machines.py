@@ -17,7 +17,7 @@ from antdsl.program.names.scope import NUMBER, TIME, Keys, MachineNames, Scope, 
 from antdsl.program.tables.colours import COLOURS, default_rgb, rgb
 from antdsl.program.types.descriptions import quoted
 from antdsl.program.types.folding import constant_behind
-from antdsl.program.types.operators import condition, wanted
+from antdsl.program.types.operators import condition, value_of_type
 from antdsl.program.types.states import unknown_state
 from antdsl.source import Span
 from antdsl.syntax import nodes
@@ -32,12 +32,12 @@ def machine(scope: Scope, names: MachineNames, members: Sequence[object], span: 
     known = (names.key, *(scope.species.bindings.values() if scope.species is not None else ()))
     changes = tuple(node for node in members if isinstance(node, nodes.Change))
     anywhere = part(scope.declared, ("anywhere", changes, known), lambda: _anywhere(scope, names, changes))
-    made: list[model.State] = []
-    for index, state in enumerate(_once(states)):
+    machine_states: list[model.State] = []
+    for index, state in enumerate(_unique_states(states)):
         general = [change for node, change in anywhere if change is not None and _applies(node, change, state.name.text, index)]
         key = ("state", state, index, *general, *known)
-        made.append(part(scope.declared, key, partial(_state, scope, names, state, index, general)))
-    return model.Machine(names.name, _start(scope, names, members, span), tuple(made), span)
+        machine_states.append(part(scope.declared, key, partial(_state, scope, names, state, index, general)))
+    return model.Machine(names.name, _start(scope, names, members, span), tuple(machine_states), span)
 
 
 def _anywhere(
@@ -48,7 +48,7 @@ def _anywhere(
     return [(node, _from_any(scope, names, node)) for node in changes]
 
 
-def _once(states: Sequence[nodes.State]) -> list[nodes.State]:
+def _unique_states(states: Sequence[nodes.State]) -> list[nodes.State]:
     return list({state.name.text: state for state in reversed(states)}.values())[::-1]
 
 
@@ -115,8 +115,8 @@ def _lets(scope: Scope, node: nodes.State) -> dict[str, Binding | Expr]:
         if name.text in scope.species.attributes or name.text in scope.species.bindings or name.text in local:
             duplicate(scope.report, "name", name, _first(node, scope, name))
         keys = Keys(f"{scope.keys.path}.{name.text}")
-        found = scope.inside(locals=local, keys=keys, no_keep="a `let` only names a value").typed(line.value)
-        local[name.text] = Binding(name.text, "let", found.type, found.rate, name.span, found, snapshot=True)
+        expr = scope.inside(locals=local, keys=keys, no_keep="a `let` only names a value").typed(line.value)
+        local[name.text] = Binding(name.text, "let", expr.type, expr.rate, name.span, expr, snapshot=True)
     return local
 
 
@@ -132,24 +132,24 @@ def _first(node: nodes.State, scope: Scope, name: nodes.Name) -> Span:
 
 
 def _colour(scope: Scope, node: nodes.State, index: int) -> tuple[float, float, float]:
-    found = rgb(node.colour.text) if node.colour else default_rgb(index)
-    if found is None and node.colour is not None:
-        some = ("red", "orange", "yellow", "green", "blue", "violet", "brown", "grey")
+    colour = rgb(node.colour.text) if node.colour else default_rgb(index)
+    if colour is None and node.colour is not None:
+        examples = ("red", "orange", "yellow", "green", "blue", "violet", "brown", "grey")
         scope.report.error(
             "unknown-colour",
             f"no colour `{node.colour.text}`",
             node.colour.span,
-            did_you_mean(node.colour.text, COLOURS, f"there is {listed(some)} and more"),
+            did_you_mean(node.colour.text, COLOURS, f"there is {listed(examples)} and more"),
         )
-    red, green, blue = found or default_rgb(index)
+    red, green, blue = colour or default_rgb(index)
     return red / 255, green / 255, blue / 255
 
 
 def _duration(scope: Scope, node: nodes.Expr | None, who: str) -> Expr | None:
     if node is None:
         return None
-    found = wanted(scope, node, TIME, who)
-    constant = constant_behind(found)
+    duration = value_of_type(scope, node, TIME, who)
+    constant = constant_behind(duration)
     if constant is not None and constant.number < 0:
         scope.report.error(
             "out-of-range",
@@ -171,7 +171,7 @@ def _duration(scope: Scope, node: nodes.Expr | None, who: str) -> Expr | None:
             node.span,
             "write `1 step`, or a longer time",
         )
-    return found
+    return duration
 
 
 # --- one change ------------------------------------------------------------------------------------------------------
@@ -192,7 +192,7 @@ def _applies(node: nodes.Change, change: model.Transition, state: str, index: in
 def _change(scope: Scope, names: MachineNames, node: nodes.Change, path: str) -> model.Transition | None:
     key = scope.keys.next(_target_word(node.target), "->")
     scope = scope.inside(keys=Keys(key))
-    after = _after(scope, node.after)
+    delay = _delay(scope, node.delay)
     test = condition(scope, node.condition, "`when`") if node.condition is not None else None
     held = _held(scope, node.held)
     claim = take(scope, node.take) if node.take is not None else None
@@ -202,12 +202,12 @@ def _change(scope: Scope, names: MachineNames, node: nodes.Change, path: str) ->
     if target is None and not choices and not node.target.previous:
         return None
     return model.Transition(
-        key, node.interrupt, test, after, held, claim, target, node.target.previous, choices, actions, node.span,
+        key, node.interrupt, test, delay, held, claim, target, node.target.previous, choices, actions, node.span,
         _duration(scope, node.over, "`over`"),
     )  # fmt: skip
 
 
-def _after(scope: Scope, node: nodes.Expr | None) -> Expr | None:
+def _delay(scope: Scope, node: nodes.Expr | None) -> Expr | None:
     """Check that `after T` is the whole condition. In `after 1 s and meal` the time is read as part of the condition."""
     time = _leftmost(node)
     if node is None or time is None or time is node:
@@ -249,9 +249,9 @@ def _target(scope: Scope, names: MachineNames, target: nodes.Target) -> int | No
 
 
 def _choices(scope: Scope, names: MachineNames, target: nodes.Target) -> tuple[tuple[int, Expr], ...]:
-    made: list[tuple[int, Expr]] = []
+    choices: list[tuple[int, Expr]] = []
     for choice in target.choices:
-        weight = wanted(scope.inside(once=True), choice.weight, NUMBER, f"the weight of `{choice.target.text}`")
+        weight = value_of_type(scope.inside(once=True), choice.weight, NUMBER, f"the weight of `{choice.target.text}`")
         constant = constant_behind(weight)
         if constant is not None and constant.number < 0:
             scope.report.error(
@@ -262,9 +262,9 @@ def _choices(scope: Scope, names: MachineNames, target: nodes.Target) -> tuple[t
             )
         index = _named(scope, names, choice.target)
         if index is not None:
-            made.append((index, weight))
-    weights = [constant_behind(weight) for _, weight in made]
-    if made and all(w is not None and w.number == 0 for w in weights):
+            choices.append((index, weight))
+    weights = [constant_behind(weight) for _, weight in choices]
+    if choices and all(w is not None and w.number == 0 for w in weights):
         scope.report.error(
             "out-of-range", "all weights of `choose` are 0", target.span, "give at least one state a weight above 0"
         )
@@ -275,4 +275,4 @@ def _choices(scope: Scope, names: MachineNames, target: nodes.Target) -> tuple[t
             target.span,
             "write `choose { rest: 2; roam: 1 }` with states of this machine",
         )
-    return tuple(made)
+    return tuple(choices)

@@ -69,9 +69,9 @@ def param(scope: Scope, node: nodes.Declaration) -> model.Param | None:
 
 def _fixed(scope: Scope, node: nodes.Expr, who: str) -> Const | None:
     """A constant."""
-    found = value(scope, node)
-    constant = constant_behind(found)
-    if constant is None and found.type.kind is not Kind.BAD:
+    expr = value(scope, node)
+    constant = constant_behind(expr)
+    if constant is None and expr.type.kind is not Kind.BAD:
         scope.report.error(
             "wrong-rate",
             f"{quoted(node.span)} is not a plain number, which {who} starts with",
@@ -88,10 +88,10 @@ def _together(scope: Scope, node: nodes.Declaration, three: list[_Number]) -> li
     if types[0] == types[1] == types[2]:
         _ordered(scope, node, three)
         return three
-    told = [each for each in three if not each.bare]
-    wanted = told[0].const if told else three[0].const
-    if len(told) < 3 and all(each.const.type == wanted.type for each in told):
-        _units_left_out(scope, three, told)
+    unit_numbers = [each for each in three if not each.bare]
+    reference = unit_numbers[0].const if unit_numbers else three[0].const
+    if len(unit_numbers) < 3 and all(each.const.type == reference.type for each in unit_numbers):
+        _units_left_out(scope, three, unit_numbers)
     else:
         odd = next((n for n in range(3) if types[n - 1] == types[n - 2]), None)
         if odd is None:
@@ -100,23 +100,27 @@ def _together(scope: Scope, node: nodes.Declaration, three: list[_Number]) -> li
             span = Span(node.value.span.source, node.value.span.start, node.range.span.end)
             scope.report.error("units-differ", f"{what}: a param and its range want all alike", span, "give them one unit")
         else:
-            wanted = three[odd - 1].const
+            reference = three[odd - 1].const
             who = f"the range of `{node.name.text}`" if odd else f"`{node.name.text}`, which has such a range,"
-            _odd_one_out(scope, three, odd, wanted.type, who)
-    return [replace(each, const=_as(each.const, wanted)) for each in three]
+            _odd_one_out(scope, three, odd, reference.type, who)
+    return [replace(each, const=_as(each.const, reference)) for each in three]
 
 
-def _as(const: Const, wanted: Const) -> Const:
-    return const if const.type == wanted.type else Const(wanted.type, const.rate, const.span, const.number, wanted.u, wanted.step)
+def _as(const: Const, reference: Const) -> Const:
+    return (
+        const
+        if const.type == reference.type
+        else Const(reference.type, const.rate, const.span, const.number, reference.u, reference.step)
+    )
 
 
-def _odd_one_out(scope: Scope, three: Sequence[_Number], odd: int, wanted: Type, who: str) -> None:
+def _odd_one_out(scope: Scope, three: Sequence[_Number], odd: int, expected: Type, who: str) -> None:
     """One of another type than the two others."""
     node, type = three[odd].node, three[odd].const.type
-    if (type.kind, wanted.kind) != (Kind.NUMBER, Kind.NUMBER):
-        mismatch(scope.report, node, type, wanted, who)
+    if (type.kind, expected.kind) != (Kind.NUMBER, Kind.NUMBER):
+        mismatch(scope.report, node, type, expected, who)
         return
-    want = dimension_words(wanted.dim)
+    want = dimension_words(expected.dim)
     instead = _fitting(three, odd)
     message = f"{quoted(node.span)} is {type_words(type)}, and {who} wants {want}"
     advice = f"write {want}" if odd else f"write {want} inside the range"
@@ -136,8 +140,8 @@ def _fitting(three: Sequence[_Number], odd: int) -> str | None:
     for unit, const in by_unit.items():
         if fit(const):
             return f"{_digits(three[odd].node)} {unit}".strip()
-    about = next((const.number for const in by_unit.values()), 0.0)
-    near = sorted(others, key=lambda each: abs(each.const.number - about))
+    approximate_value = next((const.number for const in by_unit.values()), 0.0)
+    near = sorted(others, key=lambda each: abs(each.const.number - approximate_value))
     return next((" ".join(each.node.span.text.split()) for each in near if fit(each.const)), None)
 
 
@@ -148,8 +152,8 @@ def _by_unit(node: nodes.Expr, others: Sequence[_Number]) -> dict[str, Const]:
     type = others[0].const.type
     alike = [name for name, unit in UNITS.items() if unit.dim == type.dim and not (unit.u or unit.step)]
     units = dict.fromkeys([*(each.unit for each in others if each.unit), unit_of(type.dim), *alike])
-    found = {unit: constant(node.value, unit, node.span) if unit else number(node.value, node.span) for unit in units}
-    return {unit: const for unit, const in found.items() if const is not None and const.type == type}
+    constants = {unit: constant(node.value, unit, node.span) if unit else number(node.value, node.span) for unit in units}
+    return {unit: const for unit, const in constants.items() if const is not None and const.type == type}
 
 
 def _digits(node: nodes.Expr) -> str:
@@ -166,45 +170,45 @@ def _go_together(consts: Sequence[Const]) -> bool:
     return len({(each.u, each.step) for each in consts}) > 1 or low.number <= value.number <= high.number
 
 
-def _units_left_out(scope: Scope, three: Sequence[_Number], told: Sequence[_Number]) -> None:
+def _units_left_out(scope: Scope, three: Sequence[_Number], unit_numbers: Sequence[_Number]) -> None:
     """Report numbers without a unit; one fix adds the unit to all of them."""
     bare = [each for each in three if each.bare]
-    unit = _unit_for(three, told)
+    unit = _unit_for(three, unit_numbers)
     if unit is None:
-        _no_unit_will_do(scope, three, bare, told)
+        _no_unit_will_do(scope, three, bare, unit_numbers)
         return
     span = Span(bare[0].node.span.source, bare[0].node.span.start, bare[-1].node.span.end)
-    text, done = "", span.start
+    text, copied_end = "", span.start
     for each in bare:
-        text += span.source.text[done : each.node.span.end] + f" {unit}"
-        done = each.node.span.end
-    scope.report.error("missing-unit", _lack(bare, told), span, f"write `{' '.join(text.split())}`", fix=Fix(span, text))
+        text += span.source.text[copied_end : each.node.span.end] + f" {unit}"
+        copied_end = each.node.span.end
+    scope.report.error("missing-unit", _lack(bare, unit_numbers), span, f"write `{' '.join(text.split())}`", fix=Fix(span, text))
 
 
-def _lack(bare: Sequence[_Number], told: Sequence[_Number]) -> str:
+def _lack(bare: Sequence[_Number], unit_numbers: Sequence[_Number]) -> str:
     which = " and ".join(quoted(each.node.span) for each in bare)
     has = "has" if len(bare) == 1 else "have"
-    return f"{which} {has} no unit, and {quoted(told[0].node.span)} is {dimension_words(told[0].const.type.dim)}"
+    return f"{which} {has} no unit, and {quoted(unit_numbers[0].node.span)} is {dimension_words(unit_numbers[0].const.type.dim)}"
 
 
-def _unit_for(three: Sequence[_Number], told: Sequence[_Number]) -> str | None:
+def _unit_for(three: Sequence[_Number], unit_numbers: Sequence[_Number]) -> str | None:
     """The unit with which the bare ones go together with the others: one that is written, or another of the dimension."""
-    by_unit = [_by_unit(each.node, told) for each in three]
-    for unit in next(found for each, found in zip(three, by_unit, strict=True) if each.bare):
-        if _go_together([found[unit] if each.bare else each.const for each, found in zip(three, by_unit, strict=True)]):
+    by_unit = [_by_unit(each.node, unit_numbers) for each in three]
+    for unit in next(constants for each, constants in zip(three, by_unit, strict=True) if each.bare):
+        if _go_together([constants[unit] if each.bare else each.const for each, constants in zip(three, by_unit, strict=True)]):
             return unit
     return None
 
 
-def _no_unit_will_do(scope: Scope, three: Sequence[_Number], bare: Sequence[_Number], told: Sequence[_Number]) -> None:
+def _no_unit_will_do(scope: Scope, three: Sequence[_Number], bare: Sequence[_Number], unit_numbers: Sequence[_Number]) -> None:
     span = Span(bare[0].node.span.source, bare[0].node.span.start, bare[-1].node.span.end)
     instead = _fitting(three, three.index(bare[0])) if len(bare) == 1 else None
-    want = dimension_words(told[0].const.type.dim)
-    ends = " and ".join(quoted(each.node.span) for each in told)
+    want = dimension_words(unit_numbers[0].const.type.dim)
+    ends = " and ".join(quoted(each.node.span) for each in unit_numbers)
     advice = f"write {want} that goes together with {ends}"
     fix = None if instead is None else Fix(span, instead)
     scope.report.error(
-        "missing-unit", _lack(bare, told), span, advice if fix is None else f"{advice}, such as `{instead}`", fix=fix
+        "missing-unit", _lack(bare, unit_numbers), span, advice if fix is None else f"{advice}, such as `{instead}`", fix=fix
     )
 
 
@@ -255,7 +259,7 @@ def _inside(three: Sequence[_Number]) -> str | None:
     if len(units) != 1 or not isinstance(node, (nodes.Number, nodes.Quantity)):
         return None
     (unit,) = units
-    found = constant(node.value, unit, node.span)
-    if found is None or unit == value.unit or found.type != low.const.type:
+    converted = constant(node.value, unit, node.span)
+    if converted is None or unit == value.unit or converted.type != low.const.type:
         return None
-    return f"{_digits(node)} {unit}" if low.const.number <= found.number <= high.const.number else None
+    return f"{_digits(node)} {unit}" if low.const.number <= converted.number <= high.const.number else None

@@ -7,7 +7,7 @@ from antdsl.program.model import Expr, Kind
 from antdsl.program.names.scope import BAD, BOOL, NUMBER, Scope, bad
 from antdsl.program.types.descriptions import fits, mismatch, quoted, type_words
 from antdsl.program.types.folding import constant_behind
-from antdsl.program.types.operators import op, truth, value, wanted
+from antdsl.program.types.operators import op, truth, value, value_of_type
 from antdsl.syntax import nodes
 
 
@@ -31,7 +31,11 @@ def rules(scope: Scope, node: nodes.Fuzzy) -> Expr:
     first: Expr | None = None
     for rule in node.rules:
         parts.append(_degree(inner, rule.condition))
-        said = value(scope, rule.value) if first is None else wanted(scope, rule.value, first.type, f"`fuzzy {node.name.text}`")
+        said = (
+            value(scope, rule.value)
+            if first is None
+            else value_of_type(scope, rule.value, first.type, f"`fuzzy {node.name.text}`")
+        )
         if said.type.kind not in (Kind.NUMBER, Kind.BAD):
             mismatch(scope.report, rule.value, said.type, NUMBER, "a rule")
             said = bad(rule.value.span)
@@ -44,19 +48,19 @@ def rules(scope: Scope, node: nodes.Fuzzy) -> Expr:
 
 def _degree(scope: Scope, node: nodes.Expr) -> Expr:
     """How true a rule is: a shade from 0 to 1, or a yes or no, which is 1 or 0."""
-    found = value(scope, node, BOOL)
-    if found.type.kind is not Kind.NUMBER:
-        return truth(scope, node, found, "a rule")
-    if not fits(found.type, NUMBER):
+    expr = value(scope, node, BOOL)
+    if expr.type.kind is not Kind.NUMBER:
+        return truth(scope, node, expr, "a rule")
+    if not fits(expr.type, NUMBER):
         text = " ".join(node.span.text.split())
         scope.report.error(
-            "wrong-unit", f"{quoted(node.span)} is {type_words(found.type)}, and a rule wants a share from 0 to 1", node.span,
+            "wrong-unit", f"{quoted(node.span)} is {type_words(expr.type)}, and a rule wants a share from 0 to 1", node.span,
             f"say where it begins and where it is full: `rising({text if len(text) <= 30 else '…'}, a .. b)`",
         )  # fmt: skip
         return bad(node.span)
-    known = constant_behind(found)
+    known = constant_behind(expr)
     if known is not None and not 0 <= known.number <= 1:
         scope.report.error(
             "out-of-range", f"{quoted(node.span)} is no share of truth", node.span, "a rule is true from 0 to 1, such as `0.5`"
         )
-    return found
+    return expr

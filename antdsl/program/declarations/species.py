@@ -34,11 +34,11 @@ from antdsl.program.names.scope import (
     did_you_mean,
     duplicate,
 )
-from antdsl.program.tables.vocabulary import GIVEN
+from antdsl.program.tables.vocabulary import BUILTIN_ATTRIBUTES
 from antdsl.program.types.descriptions import quoted, type_words
 from antdsl.program.types.expressions import referable
 from antdsl.program.types.folding import constant_behind
-from antdsl.program.types.operators import condition, faced, wanted
+from antdsl.program.types.operators import condition, faced, value_of_type
 from antdsl.program.types.pair_values import resting
 from antdsl.source import Span
 from antdsl.syntax import nodes
@@ -62,8 +62,8 @@ def draft(declared: Declared, file: FileNames, node: nodes.Species) -> Draft:
     names = declared.species[node.name.text]
     scope = Scope(declared, file, Keys(names.name), declared.report, species=names, no_keep=_PURE)
     _check_names(scope, node)
-    names.pending = {m.name.text for m in _members(node, nodes.Let, nodes.Latch, nodes.Fuzzy)} - GIVEN.keys()
-    head = tuple(m for m in node.members if isinstance(m, (nodes.ParamDecl, nodes.Declaration, nodes.Given)))
+    names.pending = {m.name.text for m in _members(node, nodes.Let, nodes.Latch, nodes.Fuzzy)} - BUILTIN_ATTRIBUTES.keys()
+    head = tuple(m for m in node.members if isinstance(m, (nodes.ParamDecl, nodes.Declaration, nodes.AnimalProperty)))
     params, attributes, known = part(declared, ("draft", names.name, head, node.name), lambda: _drafted(scope, node))
     names.attributes, names.each, names.params = (dict(each) for each in known)
     return Draft(names, node, scope, params, attributes)
@@ -81,29 +81,29 @@ def _drafted(
 
 def _members(node: nodes.Species, *kinds: type) -> list[Any]:
     """Members of a species and of its machines, in text order."""
-    found: list[object] = []
+    members: list[object] = []
     for member in node.members:
-        found.append(member)
+        members.append(member)
         if isinstance(member, nodes.Machine):
-            found += member.members
-    return [m for m in found if isinstance(m, kinds)]
+            members += member.members
+    return [m for m in members if isinstance(m, kinds)]
 
 
 def _check_names(scope: Scope, node: nodes.Species) -> None:
     """Check that names are unique and not words of the language."""
-    seen: dict[str, Span] = {}
+    spans_by_name: dict[str, Span] = {}
     for member in _members(node, nodes.Declaration, nodes.ParamDecl, nodes.Let, nodes.Latch, nodes.Fuzzy):
         each = member.declaration if isinstance(member, nodes.ParamDecl) else member
         if isinstance(each, nodes.Fuzzy):
             value_span = each.rules[0].value.span if each.rules else each.name.span
         else:
             value_span = each.on.span if isinstance(each, nodes.Latch) else each.value.span
-        if each.name.text in seen:
-            duplicate(scope.report, "name", each.name, seen[each.name.text])
+        if each.name.text in spans_by_name:
+            duplicate(scope.report, "name", each.name, spans_by_name[each.name.text])
         else:
             free_in_species(scope.report, each.name, value_span)
-        seen.setdefault(each.name.text, each.name.span)
-    if len(seen) > limits.ATTRIBUTES:
+        spans_by_name.setdefault(each.name.text, each.name.span)
+    if len(spans_by_name) > limits.ATTRIBUTES:
         scope.report.error(
             "too-many", f"species `{node.name.text}` declares more than {limits.ATTRIBUTES} names", node.name.span, "split it"
         )
@@ -115,9 +115,9 @@ def _check_names(scope: Scope, node: nodes.Species) -> None:
 def complete(work: Draft) -> model.Species:
     """Lets, latches, handlers, machines and layers, now that the attributes of all species are known."""
     names, key = work.names, ("species", work.node.name, work.node.help, work.node.members, *work.attributes, *work.params)
-    made, names.bindings = part(work.scope.declared, key, lambda: (_completed(work), names.bindings))
+    species, names.bindings = part(work.scope.declared, key, lambda: (_completed(work), names.bindings))
     names.pending.clear()
-    return made
+    return species
 
 
 def _completed(work: Draft) -> model.Species:
@@ -158,8 +158,8 @@ def _relaxing(scope: Scope, attribute: model.AttributeDecl, node: nodes.Declarat
                 node.relax.span,
                 "only numbers and vectors change little by little",
             )
-        to = wanted(scope, node.relax.to, attribute.type, "`relax to`")
-        over = wanted(scope, node.relax.over, TIME, "`over`")
+        to = value_of_type(scope, node.relax.to, attribute.type, "`relax to`")
+        over = value_of_type(scope, node.relax.over, TIME, "`over`")
     each, strongest = None, 0
     if node.each is not None:
         type = referable(scope, node.each.species)
@@ -180,7 +180,7 @@ def _relaxing(scope: Scope, attribute: model.AttributeDecl, node: nodes.Declarat
                 f"write `for each {each}, strongest 8`",
             )
         else:
-            count = constant_behind(wanted(scope, node.each.strongest, Type(Kind.NUMBER), "`strongest`"))
+            count = constant_behind(value_of_type(scope, node.each.strongest, Type(Kind.NUMBER), "`strongest`"))
             strongest = int(count.number) if count is not None else 0
             if count is None or not 1 <= count.number <= limits.STRONGEST or count.number != strongest:
                 scope.report.error(
@@ -208,41 +208,41 @@ def _bindings(scope: Scope, node: nodes.Species) -> list[Binding]:
     for member in _members(node, nodes.Let, nodes.Latch, nodes.Fuzzy):
         declared.setdefault(member.name.text, member)
     order, circular = ordered(scope.report, "lets", declared, _parts, lambda m: m.name)
-    made: list[Binding] = []
+    bindings: list[Binding] = []
     for each in order:
         name = each.name.text
         inner = scope.inside(keys=Keys(f"{names.name}.{name}"))
         if name in circular:
             binding = Binding(name, "let", BAD, Rate.CONST, each.name.span, bad(each.name.span), snapshot=True)
         elif isinstance(each, (nodes.Let, nodes.Fuzzy)):
-            found = rules(inner, each) if isinstance(each, nodes.Fuzzy) else inner.typed(each.value)
-            binding = Binding(name, "let", found.type, found.rate, each.name.span, found, snapshot=True)
+            expr = rules(inner, each) if isinstance(each, nodes.Fuzzy) else inner.typed(each.value)
+            binding = Binding(name, "let", expr.type, expr.rate, each.name.span, expr, snapshot=True)
         else:
             on, until = condition(inner, each.on, "`latch`"), condition(inner, each.until, "`until`")
             binding = Binding(name, "latch", BOOL, Rate.AGENT, each.name.span, on, until, f"{names.name}.{name}")
         names.bindings[name] = binding
         names.pending.discard(name)
-        made.append(binding)
-    return made
+        bindings.append(binding)
+    return bindings
 
 
 def _machines(scope: Scope, node: nodes.Species) -> list[model.Machine]:
     names = scope.species
     assert names is not None
-    made: list[model.Machine] = []
+    machines: list[model.Machine] = []
     loose = [m for m in node.members if isinstance(m, (nodes.State, nodes.Start, nodes.Change))]
     if "main" in names.machines and any(isinstance(m, nodes.State) for m in loose):
-        made.append(machine(scope, names.machines["main"], loose, node.name.span))
+        machines.append(machine(scope, names.machines["main"], loose, node.name.span))
     elif loose:
         scope.report.error(
             "unknown-state", "there are no states here", loose[0].span, "move this line into the `machine` that it belongs to"
         )
-    seen = {m.name for m in made}
+    known_names = {m.name for m in machines}
     for member in node.members:
-        if isinstance(member, nodes.Machine) and member.name.text not in seen:
-            seen.add(member.name.text)
-            made.append(machine(scope, names.machines[member.name.text], member.members, member.name.span))
-    return made
+        if isinstance(member, nodes.Machine) and member.name.text not in known_names:
+            known_names.add(member.name.text)
+            machines.append(machine(scope, names.machines[member.name.text], member.members, member.name.span))
+    return machines
 
 
 def _handlers(scope: Scope, written: tuple[nodes.On, ...]) -> list[model.Handler]:
@@ -256,11 +256,13 @@ def _handler(scope: Scope, node: nodes.On, events: dict[str, Keys]) -> model.Han
     assert names is not None
     keys = events.setdefault(event, Keys(f"{names.name}.on.{event}"))
     scope = scope.inside(keys=keys, no_keep="an event happens now and then")
-    other, met = None, _met(scope, node) if event == "collision" else ""
+    other, partner_species = None, _partner_species(scope, node) if event == "collision" else ""
     if event == "collision" and node.variable is not None:
         _named_apart(scope, node.variable)
-        if met:
-            other = Binding(node.variable.text, "element", Type(Kind.AGENT, Dim(), met), Rate.AGENT, node.variable.span)
+        if partner_species:
+            other = Binding(
+                node.variable.text, "element", Type(Kind.AGENT, Dim(), partner_species), Rate.AGENT, node.variable.span
+            )
         scope = scope.inside(locals={node.variable.text: other or bad(node.variable.span)})
     elif node.variable is not None:
         scope.report.error("wrong-argument", f"`on {event}` does not say who", node.variable.span, f"write `on {event} {{ … }}`")
@@ -268,10 +270,12 @@ def _handler(scope: Scope, node: nodes.On, events: dict[str, Keys]) -> model.Han
     if event not in EVENTS:
         scope.use("on", event)
         scope.use("heard", f"{event} {scope.species.name if scope.species else ''}")
-    return model.Handler(event, other, statements(scope, node.actions, ACTION if event == "spawn" else HANDLER), node.span, met)
+    return model.Handler(
+        event, other, statements(scope, node.actions, ACTION if event == "spawn" else HANDLER), node.span, partner_species
+    )
 
 
-def _met(scope: Scope, node: nodes.On) -> str:
+def _partner_species(scope: Scope, node: nodes.On) -> str:
     """Return the species of the other agent in a collision: the agent's own, or the one that is named; "" after an error."""
     assert scope.species is not None
     if node.species is None:
@@ -356,7 +360,7 @@ def _layer(scope: Scope, node: nodes.Layer, counts: dict[str, int]) -> model.Lay
         scope.report.error("state-as-value", message, node.push.span, "did you mean `state`?")  # whatever the state steers
         push = bad(node.push.span)
     elif not steered:
-        push = wanted(scope, node.push, PUSH, "a layer")
+        push = value_of_type(scope, node.push, PUSH, "a layer")
     test = condition(scope, node.condition, "`when`") if node.condition is not None else None
     return model.Layer(push, test, text, node.span, key, node.faces)
 

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 
 from antdsl.program.declarations.world import SETTINGS, of_the_run, outside
-from antdsl.program.expectations import Against, AtStart, Bodily, Changed, Expectation, Measured, Other, Reading, Spec, Whole
+from antdsl.program.expectations import Against, Aggregate, AtStart, Bodily, Changed, Expectation, Measured, Other, Reading, Spec
 from antdsl.program.model import Expr, Field, Kind, Op, Param, Rate
 from antdsl.program.names.scope import NUMBER, TIME, Declared, FileNames, Keys, Scope, did_you_mean, listed
 from antdsl.program.tables.units import measure, unit_of
@@ -15,7 +15,7 @@ from antdsl.program.traverse import parts, written
 from antdsl.program.types.aggregates import SpecRules
 from antdsl.program.types.descriptions import quoted
 from antdsl.program.types.folding import constant_behind
-from antdsl.program.types.operators import condition, wanted
+from antdsl.program.types.operators import condition, value_of_type
 from antdsl.syntax import nodes
 from antdsl.syntax.words import FIXED_SETTINGS
 
@@ -69,15 +69,15 @@ def check_spec(
 
 def _line(work: _Work, line: nodes.SpecLine) -> None:
     if line.kind == "for" and line.condition is None:
-        _once(work, line, work.duration is not None)
+        _check_repeat(work, line, work.duration is not None)
         work.duration = _time(work, line, outside(work.declared, work.names, "spec"))
     elif line.kind == "seeds":
         _seeds(work, line)
     elif line.kind == "pass":
-        _once(work, line, work.share is not None)
+        _check_repeat(work, line, work.share is not None)
         work.share = _share(work, line)
     elif line.kind == "against":
-        _once(work, line, work.against is not None)
+        _check_repeat(work, line, work.against is not None)
         work.against = _against(work, line)
     elif line.kind == "set":
         _set(work, line)
@@ -87,7 +87,7 @@ def _line(work: _Work, line: nodes.SpecLine) -> None:
         _expect(work, line, None)
 
 
-def _once(work: _Work, line: nodes.SpecLine, again: bool) -> None:
+def _check_repeat(work: _Work, line: nodes.SpecLine, again: bool) -> None:
     if again:
         words = f"`{line.kind}` stands twice in one spec"
         work.declared.report.error("duplicate-name", words, line.span, "keep one of them")
@@ -96,26 +96,26 @@ def _once(work: _Work, line: nodes.SpecLine, again: bool) -> None:
 def _time(work: _Work, line: nodes.SpecLine, scope: Scope, node: nodes.Expr | None = None, word: str = "") -> Expr | None:
     node, word = node or line.time, word or line.kind
     assert node is not None
-    found = wanted(scope, node, TIME, f"`{word}`")
-    if found.type.kind is Kind.BAD or not of_the_run(work.declared.report, found, f"`{word}`"):
+    expr = value_of_type(scope, node, TIME, f"`{word}`")
+    if expr.type.kind is Kind.BAD or not of_the_run(work.declared.report, expr, f"`{word}`"):
         return None
-    known = constant_behind(found)
+    known = constant_behind(expr)
     if known is not None and known.number <= 0:
         work.declared.report.error(
             "out-of-range", f"`{word}` wants more than no time", node.span, "write a time above 0, such as `20 s`"
         )
         return None
-    return found
+    return expr
 
 
 def _share(work: _Work, line: nodes.SpecLine) -> float | None:
     """The share of the seeds that must pass."""
     assert line.condition is not None
-    found = wanted(outside(work.declared, work.names, "spec"), line.condition, NUMBER, "`pass`")
-    known = constant_behind(found)
+    expr = value_of_type(outside(work.declared, work.names, "spec"), line.condition, NUMBER, "`pass`")
+    known = constant_behind(expr)
     if known is not None and 0 < known.number <= 1:
         return known.number
-    if found.type.kind is not Kind.BAD:
+    if expr.type.kind is not Kind.BAD:
         words = f"`pass` wants a share of the seeds, not {quoted(line.condition.span)}"
         work.declared.report.error("out-of-range", words, line.condition.span, "write a share up to `100 %`, such as `pass 80 %`")
     return None
@@ -146,9 +146,9 @@ def _seeds(work: _Work, line: nodes.SpecLine) -> None:
     node = line.condition
     assert node is not None
     ends = (node.low, node.high) if isinstance(node, nodes.RangeExpr) else (node,)
-    found = [_whole_number(work, end) for end in ends]
-    numbers = [number for number in found if number is not None]
-    if len(numbers) < len(found):
+    bounds = [_whole_number(work, end) for end in ends]
+    numbers = [number for number in bounds if number is not None]
+    if len(numbers) < len(bounds):
         return
     low, high = numbers[0], numbers[-1]
     if high < low:
@@ -162,11 +162,11 @@ def _seeds(work: _Work, line: nodes.SpecLine) -> None:
 
 
 def _whole_number(work: _Work, node: nodes.Expr) -> int | None:
-    found = wanted(outside(work.declared, work.names, "spec"), node, NUMBER, "`seeds`")
-    known = constant_behind(found)
+    expr = value_of_type(outside(work.declared, work.names, "spec"), node, NUMBER, "`seeds`")
+    known = constant_behind(expr)
     if known is not None and known.number == int(known.number) and 0 <= known.number < 2**53:
         return int(known.number)
-    if found.type.kind is not Kind.BAD:
+    if expr.type.kind is not Kind.BAD:
         work.declared.report.error(
             "wrong-count", f"a seed is a whole number, not {quoted(node.span)}", node.span, "write `seeds 1 .. 5`"
         )
@@ -182,14 +182,14 @@ def _set(work: _Work, line: nodes.SpecLine) -> None:
         param = work.params[text]
         declared.used.add(("param", text))
         _bind(scope, line.target, "species", "own")
-        found = wanted(scope, line.condition, param.type, f"`{text}`")
-        if found.type.kind is Kind.BAD:
+        expr = value_of_type(scope, line.condition, param.type, f"`{text}`")
+        if expr.type.kind is Kind.BAD:
             return
-        if constant_behind(found) is None:
-            of_the_run(declared.report, found, f"`{text}`")
+        if constant_behind(expr) is None:
+            of_the_run(declared.report, expr, f"`{text}`")
             return
-        _in_range(work, line.condition, param, found)
-        work.changes.append(Changed(text, found, line.span))
+        _in_range(work, line.condition, param, expr)
+        work.changes.append(Changed(text, expr, line.span))
     elif thing in work.fields and word in SETTINGS and word not in FIXED_SETTINGS:
         declared.used.add(("field", thing))
         _bind(scope, line.target, "field", "setting")
@@ -210,8 +210,8 @@ def _bind(scope: Scope, target: nodes.Expr | nodes.Text, owner: str, value: str)
         scope.bind(target.name.span, *((value, word) if value == "setting" else (value, name, word)))
 
 
-def _in_range(work: _Work, node: nodes.Expr, param: Param, found: Expr) -> None:
-    constant = constant_behind(found)
+def _in_range(work: _Work, node: nodes.Expr, param: Param, expr: Expr) -> None:
+    constant = constant_behind(expr)
     for bound, sign in ((param.low, 1), (param.high, -1)):
         alike = constant is not None and bound is not None and (bound.u, bound.step) == (constant.u, constant.step)
         if constant is not None and bound is not None and alike and sign * (constant.number - bound.number) < 0:
@@ -257,14 +257,14 @@ def _expect(work: _Work, line: nodes.SpecLine, species: str | None) -> None:
     time = _time(work, line, scope) if line.time is not None else None
     held = None if line.held is None else _time(work, line, scope, line.held, "held")
     since = None if line.since is None else condition(scope, line.since, "`when`")
-    found = condition(scope, line.condition, f"`{line.kind}`")
-    asked = [each for each in (since, found) if each is not None]
-    if any(isinstance(p, Expr) and p.type.kind is Kind.BAD for each in asked for p in parts(each)):
+    expr = condition(scope, line.condition, f"`{line.kind}`")
+    conditions = [each for each in (since, expr) if each is not None]
+    if any(isinstance(p, Expr) and p.type.kind is Kind.BAD for each in conditions for p in parts(each)):
         return
-    at_end = any(isinstance(part, Measured) for each in asked for part in parts(each))
-    if all(_fits(work, line, species, each, at_end) for each in asked) and _in_time(work, line):
-        readings, block = tuple(_readings(found, line.condition)), work.blocks if species else 0
-        work.expectations.append(Expectation(line.kind, block, species, found, time, readings, at_end, line.span, held, since))
+    at_end = any(isinstance(part, Measured) for each in conditions for part in parts(each))
+    if all(_fits(work, line, species, each, at_end) for each in conditions) and _in_time(work, line):
+        readings, block = tuple(_readings(expr, line.condition)), work.blocks if species else 0
+        work.expectations.append(Expectation(line.kind, block, species, expr, time, readings, at_end, line.span, held, since))
 
 
 def _in_time(work: _Work, line: nodes.SpecLine) -> bool:
@@ -281,15 +281,15 @@ def _in_time(work: _Work, line: nodes.SpecLine) -> bool:
     return True
 
 
-def _fits(work: _Work, line: nodes.SpecLine, species: str | None, found: Expr, at_end: bool) -> bool:
+def _fits(work: _Work, line: nodes.SpecLine, species: str | None, expr: Expr, at_end: bool) -> bool:
     """Return whether the line can be judged; report an error if not."""
-    report, text = work.declared.report, quoted(found.span)
-    if species is None and found.rate > Rate.STEP:
+    report, text = work.declared.report, quoted(expr.span)
+    if species is None and expr.rate > Rate.STEP:
         names = [name for name, each in work.declared.species.items() if each.node is not None] or ["walker"]
         report.error(
             "wrong-rate",
             f"{text} differs from agent to agent, but no agent is named",
-            found.span,
+            expr.span,
             f"write it in `each {names[0]} {{ … }}`, or ask for the `share`, `mean`, `min` or `max` of all",
         )
         return False
@@ -298,11 +298,11 @@ def _fits(work: _Work, line: nodes.SpecLine, species: str | None, found: Expr, a
         report.error(
             "wrong-argument",
             "`motion` is measured over the whole run, and known when that is over",
-            found.span,
+            expr.span,
             "bound it in a line of the spec itself: `always: motion.circling < 5 %`",
         )
         return False
-    draw = next((p for p in parts(found) if isinstance(p, Op) and p.name in DRAWS), None)
+    draw = next((p for p in parts(expr) if isinstance(p, Op) and p.name in DRAWS), None)
     if draw is not None:
         report.error(
             "draw-in-spec", f"{quoted(draw.span)} draws a random number, and a spec only looks", draw.span, "leave it out"
@@ -311,17 +311,17 @@ def _fits(work: _Work, line: nodes.SpecLine, species: str | None, found: Expr, a
     return True
 
 
-def _readings(found: Expr, node: nodes.Expr) -> Iterator[Reading]:
+def _readings(expr: Expr, node: nodes.Expr) -> Iterator[Reading]:
     """Yield the sides of all comparisons of a condition, and its other values, in text order."""
     units = [part.unit for part, _ in written(node) if isinstance(part, nodes.Quantity)]
-    stack: list[Expr] = [found]
+    stack: list[Expr] = [expr]
     while stack:
         part = stack.pop()
         if isinstance(part, Op) and part.name == "is_none" and part.args[0] is not None and part.args[0].type.kind in _REFERENCES:
             yield Reading(part.args[0], "")  # who it is, or none
         elif isinstance(part, Op) and part.name in ("and", "or", "not", *_COMPARED):
             stack += [arg for arg in reversed(part.args) if arg is not None]
-        elif part.rate > Rate.RUN or isinstance(part, Whole | AtStart | Measured | Other | Bodily):
+        elif part.rate > Rate.RUN or isinstance(part, Aggregate | AtStart | Measured | Other | Bodily):
             yield Reading(part, _unit(part, units))
 
 

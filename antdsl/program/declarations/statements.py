@@ -12,10 +12,10 @@ from antdsl.program.declarations.appearance import channel, look, play, wear
 from antdsl.program.declarations.asks import ask
 from antdsl.program.model import Expr, Kind, Type
 from antdsl.program.names.scope import NUMBER, PUSH, Scope, did_you_mean, listed, type_from_words
-from antdsl.program.tables.vocabulary import GIVEN
+from antdsl.program.tables.vocabulary import BUILTIN_ATTRIBUTES
 from antdsl.program.types.arguments import place
 from antdsl.program.types.descriptions import disagree, fits, mismatch, quoted, type_words
-from antdsl.program.types.operators import faced, value, wanted
+from antdsl.program.types.operators import faced, value, value_of_type
 from antdsl.program.types.pair_values import each_of
 from antdsl.source import Span
 from antdsl.syntax import nodes
@@ -24,16 +24,16 @@ from antdsl.syntax import nodes
 def statements(scope: Scope, lines: Iterable[object], block: Block) -> tuple[model.Statement, ...]:
     """Return the statements of a block in text order, without those that have errors."""
     scope = scope.inside(once=not block.body)
-    made: list[model.Statement] = []
+    checked_statements: list[model.Statement] = []
     assigned: dict[str, Span] = {}
     for line in lines:
         rule = _RULES.get(type(line))
-        found = rule(scope, line, block) if rule is not None else None
-        if found is not None:
-            made.append(found)
+        statement = rule(scope, line, block) if rule is not None else None
+        if statement is not None:
+            checked_statements.append(statement)
         if isinstance(line, nodes.Assign) and line.op == "=" and isinstance(line.target, nodes.NameRef):
             _twice(scope, line.target.name, assigned)
-    return tuple(made)
+    return tuple(checked_statements)
 
 
 def _twice(scope: Scope, name: nodes.Name, assigned: dict[str, Span]) -> None:
@@ -59,8 +59,8 @@ def _steer(scope: Scope, line: nodes.Steer, block: Block) -> model.Statement | N
 
 
 def _face(scope: Scope, line: nodes.Face, block: Block) -> model.Statement | None:
-    way = faced(scope, line.push)
-    return None if way.type.kind is Kind.BAD else model.Face(way, line.span)
+    direction = faced(scope, line.push)
+    return None if direction.type.kind is Kind.BAD else model.Face(direction, line.span)
 
 
 def _assign(scope: Scope, line: nodes.Assign, block: Block) -> model.Statement | None:
@@ -68,11 +68,11 @@ def _assign(scope: Scope, line: nodes.Assign, block: Block) -> model.Statement |
     assert species is not None
     target, of, over, element, inner = line.target, None, None, None, scope
     if isinstance(target, nodes.IndexAll):
-        found = each_of(scope, target)
-        if found is None:
+        element_access = each_of(scope, target)
+        if element_access is None:
             return None
-        about, over, element, inner = found
-        name, type = about.name, about.type
+        pair_attribute, over, element, inner = element_access
+        name, type = pair_attribute.name, pair_attribute.type
     elif isinstance(target, nodes.Index) and isinstance(target.owner, nodes.NameRef):
         checked = scope.typed(target)
         if not isinstance(checked, model.Attribute):
@@ -116,7 +116,7 @@ def _assign(scope: Scope, line: nodes.Assign, block: Block) -> model.Statement |
             f"add to it: `{what} += {text}`, or set it in a change that asks for it: `when … -> … {{ {what} = {text} }}`",
         )  # fmt: skip
         return None
-    new = wanted(inner, line.value, type, f"`{name}`")
+    new = value_of_type(inner, line.value, type, f"`{name}`")
     return None if new.type.kind is Kind.BAD else model.Assign(name, "=", new, False, line.span, of, over, element)
 
 
@@ -130,14 +130,14 @@ def _target(scope: Scope, name: nodes.Name, block: Block, line: nodes.Assign) ->
         return None
     if text in species.attributes:
         return text, species.attributes[text]
-    given = GIVEN.get(text)
-    if given is not None and (given.settable or text in ("velocity", "heading")):
-        if not given.settable and block.body:
-            once = f"`enter {{ {' '.join(line.span.text.split())} }}`"
-            advice = f"steer instead, or set it once: {once}"
+    builtin = BUILTIN_ATTRIBUTES.get(text)
+    if builtin is not None and (builtin.settable or text in ("velocity", "heading")):
+        if not builtin.settable and block.body:
+            example = f"`enter {{ {' '.join(line.span.text.split())} }}`"
+            advice = f"steer instead, or set it once: {example}"
             report.error("set-in-body", f"`{text}` cannot be set in every step", line.span, advice)
             return None
-        return text, type_from_words(given.type) or Type(Kind.BAD)
+        return text, type_from_words(builtin.type) or Type(Kind.BAD)
     if text in species.params:
         report.error(
             "not-settable",
@@ -152,17 +152,19 @@ def _target(scope: Scope, name: nodes.Name, block: Block, line: nodes.Assign) ->
             name.span,
             "set what it follows from, or make it an attribute",
         )
-    elif given is not None or text in ("state", "previous", "next", "time_in_state"):
+    elif builtin is not None or text in ("state", "previous", "next", "time_in_state"):
         advice = (
             "a change moves it: `when … -> …`"
-            if given is None
+            if builtin is None
             else "it moves by `steer`"
             if text in ("position", "speed")
             else "it follows from the rest"
         )
         report.error("not-settable", f"`{text}` cannot be set", name.span, advice)
     else:
-        known = [a for a in species.attributes if a not in species.each] + [n for n, g in GIVEN.items() if g.settable]
+        known = [a for a in species.attributes if a not in species.each] + [
+            n for n, g in BUILTIN_ATTRIBUTES.items() if g.settable
+        ]
         report.error(
             "unknown-name",
             f"`{species.name}` has no attribute `{text}`",
@@ -173,7 +175,7 @@ def _target(scope: Scope, name: nodes.Name, block: Block, line: nodes.Assign) ->
 
 
 def _ask(scope: Scope, line: nodes.Ask, block: Block) -> model.Statement | None:
-    return _SHOWN.get(line.verb, ask)(scope, line, block)
+    return _DISPLAY_RULES.get(line.verb, ask)(scope, line, block)
 
 
 def _give(scope: Scope, line: nodes.Give, block: Block) -> model.Statement | None:
@@ -202,7 +204,7 @@ def take(scope: Scope, line: nodes.Take) -> model.Take | None:
     called = line.attribute.text if line.attribute is not None else ""
     amount = None
     if line.amount is not None:
-        amount = wanted(
+        amount = value_of_type(
             scope.inside(once=True), line.amount, own or NUMBER, " ".join(("`take …", f"{called}`" if called else "`"))
         )
         if amount.type.kind is Kind.BAD:
@@ -242,13 +244,13 @@ def take(scope: Scope, line: nodes.Take) -> model.Take | None:
     return model.Take(called or None, amount, source, line.span)
 
 
-def _holds_of_field(scope: Scope, node: nodes.Expr, found: Expr, attribute: nodes.Name, own: Type) -> bool:
+def _holds_of_field(scope: Scope, node: nodes.Expr, expr: Expr, attribute: nodes.Name, own: Type) -> bool:
     """Whether the agent's attribute is a plain number, as a field's cells hold."""
     if own.kind is Kind.BAD or fits(NUMBER, own):
         return own.kind is not Kind.BAD
     a = model.Attribute(own, model.Rate.AGENT, attribute.span, None, attribute.text)
     disagree(
-        scope.report, "take", attribute.span, (nodes.NameRef(attribute, attribute.span), a), (node, replace(found, type=NUMBER))
+        scope.report, "take", attribute.span, (nodes.NameRef(attribute, attribute.span), a), (node, replace(expr, type=NUMBER))
     )
     return False
 
@@ -274,37 +276,39 @@ def _own_amount(scope: Scope, name: nodes.Name, why: str) -> Type | None:
     return type
 
 
-def _holds(scope: Scope, node: nodes.Expr, found: Expr, attribute: nodes.Name, own: Type) -> bool:
+def _holds(scope: Scope, node: nodes.Expr, item_expr: Expr, attribute: nodes.Name, own: Type) -> bool:
     """Whether the item has the attribute, of the same dimension."""
-    if found.type.kind is Kind.BAD:
+    if item_expr.type.kind is Kind.BAD:
         return False
-    if found.type.kind is not Kind.ITEM:
-        mismatch(scope.report, node, found.type, Type(Kind.ITEM), "`take` and `give`")
+    if item_expr.type.kind is not Kind.ITEM:
+        mismatch(scope.report, node, item_expr.type, Type(Kind.ITEM), "`take` and `give`")
         return False
-    thing = scope.declared.things.get(found.type.of or "")
+    thing = scope.declared.things.get(item_expr.type.of or "")
     held = {a.name: a.type for a in thing.attributes} if thing else {}
     if attribute.text not in held:
         scope.report.error(
             "unknown-name",
-            f"items `{found.type.of}` have no `{attribute.text}`",
+            f"items `{item_expr.type.of}` have no `{attribute.text}`",
             attribute.span,
             did_you_mean(
                 attribute.text,
                 held,
-                f"declare it: `items {found.type.of} {{ {attribute.text} = 0 }}`" if not held else f"they have {listed(held)}",
+                f"declare it: `items {item_expr.type.of} {{ {attribute.text} = 0 }}`"
+                if not held
+                else f"they have {listed(held)}",
             ),
         )
         return False
-    scope.bind_value(attribute.span, found.type, attribute.text)
+    scope.bind_value(attribute.span, item_expr.type, attribute.text)
     if not fits(held[attribute.text], own):
         a = model.Attribute(own, model.Rate.AGENT, attribute.span, None, attribute.text)
-        b = model.Attribute(held[attribute.text], model.Rate.AGENT, node.span, found, attribute.text)
+        b = model.Attribute(held[attribute.text], model.Rate.AGENT, node.span, item_expr, attribute.text)
         disagree(scope.report, "take and give", attribute.span, (nodes.NameRef(attribute, attribute.span), a), (node, b))
         return False
     return True
 
 
-_SHOWN: dict[str, Callable[..., model.Statement | None]] = {"play": play, "wear": wear, "channel": channel, "look": look}
+_DISPLAY_RULES: dict[str, Callable[..., model.Statement | None]] = {"play": play, "wear": wear, "channel": channel, "look": look}
 _RULES: dict[type, Callable[..., model.Statement | None]] = {
     nodes.Steer: _steer, nodes.Face: _face, nodes.Assign: _assign, nodes.Ask: _ask, nodes.Give: _give,
 }  # fmt: skip

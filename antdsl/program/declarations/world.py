@@ -25,10 +25,10 @@ from antdsl.program.names.scope import (
 )
 from antdsl.program.tables.things import KINDS_OF_THINGS
 from antdsl.program.tables.units import number
-from antdsl.program.tables.vocabulary import GIVEN, ITEM_GIVEN
+from antdsl.program.tables.vocabulary import BUILTIN_ATTRIBUTES, ITEM_ATTRIBUTES
 from antdsl.program.types.descriptions import fits, mismatch, quoted
 from antdsl.program.types.folding import constant_behind
-from antdsl.program.types.operators import value, wanted
+from antdsl.program.types.operators import value, value_of_type
 from antdsl.syntax import nodes
 from antdsl.syntax.words import WORD_SETTINGS
 
@@ -86,7 +86,7 @@ def _attribute(declared: Declared, names: FileNames, item: nodes.WorldItem, node
     twice = [d for d in item.attributes if d.name.text == name]
     if twice[0] is not node:
         duplicate(report, "attribute", node.name, twice[0].name.span)
-    taken = ITEM_GIVEN if item.kind.text == "items" else GIVEN
+    taken = ITEM_ATTRIBUTES if item.kind.text == "items" else BUILTIN_ATTRIBUTES
     if name in taken:
         report.error(
             "reserved-name",
@@ -94,10 +94,10 @@ def _attribute(declared: Declared, names: FileNames, item: nodes.WorldItem, node
             node.name.span,
             f"call it otherwise, such as `my_{name}`",
         )
-    found = value(outside(declared, names, f"world.{item.name.text}"), node.value)
-    constant = constant_behind(found)
+    expr = value(outside(declared, names, f"world.{item.name.text}"), node.value)
+    constant = constant_behind(expr)
     if constant is None or constant.type.kind is not Kind.NUMBER:
-        if found.type.kind is not Kind.BAD:
+        if expr.type.kind is not Kind.BAD:
             report.error(
                 "wrong-rate",
                 f"{quoted(node.value.span)} is not a plain number, which an attribute of `{item.name.text}` starts with",
@@ -183,7 +183,7 @@ def check_field(declared: Declared, names: FileNames, node: nodes.FieldDecl) -> 
         else:
             settings[word] = setting
     _one_decay(report, settings)
-    found = {word: SETTINGS[word](scope, setting) for word, setting in settings.items()}
+    setting_values = {word: SETTINGS[word](scope, setting) for word, setting in settings.items()}
     if "cell" not in settings:
         report.error(
             "missing-setting",
@@ -191,10 +191,12 @@ def check_field(declared: Declared, names: FileNames, node: nodes.FieldDecl) -> 
             node.name.span,
             "write `cell 4 mm` between its braces",
         )
-    cell = found.get("cell") or number(1, node.span)
+    cell = setting_values.get("cell") or number(1, node.span)
     return model.Field(
-        node.name.text, surfaces, cell, found.get("half_life"), found.get("evaporate"), found.get("keeps"), found.get("diffuse"),
-        _chosen("combine", found), found.get("limit"), _stencil_of(found), _chosen("deposits", found), node.name.span,
+        node.name.text, surfaces, cell, setting_values.get("half_life"),
+        setting_values.get("evaporate"), setting_values.get("keeps"), setting_values.get("diffuse"),
+        _chosen("combine", setting_values), setting_values.get("limit"), _stencil_of(setting_values),
+        _chosen("deposits", setting_values), node.name.span,
     )  # fmt: skip
 
 
@@ -224,23 +226,23 @@ def _is_ground(declared: Declared, name: nodes.Name) -> bool:
 
 
 def _one_decay(report: Report, settings: dict[str, nodes.Setting]) -> None:
-    given = [settings[word] for word in ("half_life", "evaporate", "keeps") if word in settings]
-    for extra in given[1:]:
+    decays = [settings[word] for word in ("half_life", "evaporate", "keeps") if word in settings]
+    for extra in decays[1:]:
         report.error(
-            "two-decays", f"`{given[0].name.text}` and `{extra.name.text}` both say how fast it fades", extra.span,
+            "two-decays", f"`{decays[0].name.text}` and `{extra.name.text}` both say how fast it fades", extra.span,
             "keep one of them",
-            labels=(Label(given[0].span, "the other one"),),
+            labels=(Label(decays[0].span, "the other one"),),
         )  # fmt: skip
 
 
 def _setting(type: Type, least: float | None = None, above: bool = False) -> Callable[[Scope, nodes.Setting], Expr | None]:
     def check(scope: Scope, node: nodes.Setting) -> Expr | None:
-        found = wanted(scope, node.value, type, f"`{node.name.text}`")
-        if found.type.kind is Kind.BAD:
+        expr = value_of_type(scope, node.value, type, f"`{node.name.text}`")
+        if expr.type.kind is Kind.BAD:
             return None
-        if not of_the_run(scope.report, found, f"`{node.name.text}` of a field"):
+        if not of_the_run(scope.report, expr, f"`{node.name.text}` of a field"):
             return None
-        constant = constant_behind(found)
+        constant = constant_behind(expr)
         if constant is not None and least is not None and (constant.number < least or (above and constant.number == least)):
             scope.report.error(
                 "out-of-range",
@@ -249,31 +251,31 @@ def _setting(type: Type, least: float | None = None, above: bool = False) -> Cal
                 f"write {'more than' if above else 'at least'} {least:g}",
             )
             return None
-        return found
+        return expr
 
     return check
 
 
-def of_the_run(report: Report, found: Expr, who: str) -> bool:
+def of_the_run(report: Report, expr: Expr, who: str) -> bool:
     """Return whether a value is equal for all agents and all steps; report an error otherwise."""
-    if found.rate <= Rate.RUN:
+    if expr.rate <= Rate.RUN:
         return True
-    differs = "changes from step to step" if found.rate is Rate.STEP else "differs from agent to agent"
+    differs = "changes from step to step" if expr.rate is Rate.STEP else "differs from agent to agent"
     report.error(
-        "wrong-rate", f"{quoted(found.span)} {differs}, and {who} is one value for the whole run", found.span, "write a number"
+        "wrong-rate", f"{quoted(expr.span)} {differs}, and {who} is one value for the whole run", expr.span, "write a number"
     )
     return False
 
 
 def _keeps(scope: Scope, node: nodes.Setting) -> Expr | None:
     """`keeps 90 %/step` is the factor 0.9 for each step."""
-    found = value(scope, node.value)
-    if found.type.kind is Kind.BAD:
+    expr = value(scope, node.value)
+    if expr.type.kind is Kind.BAD:
         return None
-    constant = constant_behind(found)
+    constant = constant_behind(expr)
     text = " ".join(node.value.span.text.split())
-    if constant is None or found.type != PER_SECOND or constant.step != -1 or constant.u:
-        better = f"`keeps {text}/step`" if found.type == NUMBER else "`keeps 90 %/step`"
+    if constant is None or expr.type != PER_SECOND or constant.step != -1 or constant.u:
+        better = f"`keeps {text}/step`" if expr.type == NUMBER else "`keeps 90 %/step`"
         scope.report.error(
             "wrong-unit",
             f"`keeps` is a share for each step, and {quoted(node.value.span)} is not",
@@ -308,17 +310,17 @@ def _word(scope: Scope, node: nodes.Setting) -> Expr | None:
     return number(float(words.index(word)), node.value.span)
 
 
-def _chosen(setting: str, found: dict[str, Expr | None]) -> str:
+def _chosen(setting: str, setting_values: dict[str, Expr | None]) -> str:
     """Return the word of a setting; the default if it is absent or wrong."""
-    given = found.get(setting)
-    return WORD_SETTINGS[setting][int(given.number) if isinstance(given, Const) else 0]
+    chosen_value = setting_values.get(setting)
+    return WORD_SETTINGS[setting][int(chosen_value.number) if isinstance(chosen_value, Const) else 0]
 
 
 def _stencil(scope: Scope, node: nodes.Setting) -> Expr | None:
-    found = wanted(scope, node.value, NUMBER, "`stencil`")
-    if found.type.kind is Kind.BAD:
+    expr = value_of_type(scope, node.value, NUMBER, "`stencil`")
+    if expr.type.kind is Kind.BAD:
         return None
-    constant = constant_behind(found)
+    constant = constant_behind(expr)
     if constant is None or constant.number not in STENCILS:
         scope.report.error(
             "out-of-range",
@@ -330,9 +332,9 @@ def _stencil(scope: Scope, node: nodes.Setting) -> Expr | None:
     return number(constant.number, node.value.span)
 
 
-def _stencil_of(found: dict[str, Expr | None]) -> int:
-    given = found.get("stencil")
-    return int(given.number) if isinstance(given, Const) else STENCILS[0]
+def _stencil_of(setting_values: dict[str, Expr | None]) -> int:
+    chosen_value = setting_values.get("stencil")
+    return int(chosen_value.number) if isinstance(chosen_value, Const) else STENCILS[0]
 
 
 STENCILS = (4, 8)  # of how many cells round about, the usual one first

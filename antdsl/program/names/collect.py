@@ -10,7 +10,7 @@ from antdsl.diagnostics import Fix, Report
 from antdsl.diagnostics.suggestion import nearest_name
 from antdsl.program.names.scope import BehaviourInfo, Declared, FileNames, MachineNames, SpeciesNames, did_you_mean, duplicate
 from antdsl.program.tables.effects import EFFECTS
-from antdsl.program.tables.vocabulary import BUILTINS, GIVEN, REDUCERS, RESERVED, RUN_NAMES, SENSED_NAMES
+from antdsl.program.tables.vocabulary import BUILTIN_ATTRIBUTES, BUILTINS, REDUCERS, RESERVED, RUN_NAMES, SENSED_NAMES
 from antdsl.source import Span
 from antdsl.syntax import nodes
 
@@ -102,8 +102,8 @@ class Loader:
         if name.text not in self.libraries:
             node = self.library(name.text)
             self.libraries[name.text] = None if node is None else self.file(node, above)
-        found = self.libraries[name.text]
-        if found is None:
+        file_names = self.libraries[name.text]
+        if file_names is None:
             names.wanting.add(nearest_name(name.text, LIBRARIES) or "")  # this covers all that is missing from there
             self.report.error(
                 "unknown-library",
@@ -113,7 +113,7 @@ class Loader:
             )
             return
         names.libraries.append(name.text)
-        for behaviour, info in found.own.items():
+        for behaviour, info in file_names.own.items():
             names.library.setdefault(behaviour, info)
 
     def _use_module(self, names: FileNames, path: nodes.Text, alias: nodes.Name, above: tuple[nodes.File, ...]) -> None:
@@ -157,9 +157,9 @@ def declare(declared: Declared, names: FileNames) -> None:
                 duplicate(report, "species", item.name, known.node.name.span)
                 continue
             free(report, item.name)
-            made = SpeciesNames(item.name.text, item)
-            declared.species[item.name.text] = made
-            _machines(report, made, item)
+            species_names = SpeciesNames(item.name.text, item)
+            declared.species[item.name.text] = species_names
+            _machines(report, species_names, item)
     for item in names.node.items:
         if isinstance(item, nodes.Species):
             for event, span in _events(item):
@@ -178,10 +178,10 @@ def free(report: Report, name: nodes.Name) -> bool:
 
 def free_in_species(report: Report, name: nodes.Name, value: Span) -> bool:
     """Like `free`, for members of a species, where built-in names are taken too."""
-    given = GIVEN.get(name.text)
-    if given is None:
+    builtin = BUILTIN_ATTRIBUTES.get(name.text)
+    if builtin is None:
         return free(report, name)
-    if given.settable:
+    if builtin.settable:
         text = " ".join(value.text.split())
         report.error(
             "reserved-name", f"`{name.text}` is there already and is set without `=`", name.span, f"write `{name.text} {text}`",
@@ -190,7 +190,7 @@ def free_in_species(report: Report, name: nodes.Name, value: Span) -> bool:
     else:
         report.error(
             "reserved-name",
-            f"every agent has a `{name.text}` already: {given.help}",
+            f"every agent has a `{name.text}` already: {builtin.help}",
             name.span,
             f"call it otherwise, such as `my_{name.text}`",
         )
@@ -212,23 +212,23 @@ def _machines(report: Report, species: SpeciesNames, node: nodes.Species) -> Non
 
 
 def _machine(report: Report, species: SpeciesNames, name: str, states: tuple[nodes.State, ...]) -> None:
-    made = MachineNames(name, f"{species.name}.{name}", {})
+    machine_names = MachineNames(name, f"{species.name}.{name}", {})
     spans: dict[str, Span] = {}
     for state in states:
-        if state.name.text in made.states:
+        if state.name.text in machine_names.states:
             duplicate(report, "state", state.name, spans[state.name.text])
             continue
         free(report, state.name)
-        made.states[state.name.text] = len(made.states)
+        machine_names.states[state.name.text] = len(machine_names.states)
         spans[state.name.text] = state.name.span
-    if len(made.states) > limits.STATES:
+    if len(machine_names.states) > limits.STATES:
         report.error(
             "too-many",
             f"machine `{name}` has more than {limits.STATES} states",
             states[limits.STATES].name.span,
             "split it into several machines",
         )
-    species.machines[name] = made
+    species.machines[name] = machine_names
 
 
 def _events(species: nodes.Species) -> Iterator[tuple[str, Span]]:

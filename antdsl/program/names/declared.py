@@ -11,7 +11,7 @@ from antdsl.program.names.collect import EVENTS, raised
 from antdsl.program.traverse import written
 from antdsl.syntax import nodes
 
-Found = Iterator["Declaration"]
+Declarations = Iterator["Declaration"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -23,7 +23,7 @@ class Declaration:
     node: Any
 
 
-def declarations(file: nodes.File) -> Found:
+def declarations(file: nodes.File) -> Declarations:
     """Return the declarations of a file. The first of equal keys counts, as in the checker: the `species` itself before its entry
     in `world`."""
     for item in sorted(file.items, key=lambda item: isinstance(item, nodes.World)):
@@ -37,12 +37,12 @@ def declaration(member: object) -> Any:
     return member if isinstance(member, (nodes.Declaration, nodes.Let, nodes.Latch, nodes.Fuzzy)) else None
 
 
-def _use(path: str, item: nodes.Use) -> Found:
+def _use(path: str, item: nodes.Use) -> Declarations:
     if item.alias is not None:
         yield Declaration(("alias", path, item.alias.text), item.alias, item)
 
 
-def _world(path: str, item: nodes.World) -> Found:
+def _world(path: str, item: nodes.World) -> Declarations:
     for thing in item.items:
         name, species = thing.name.text, thing.kind.text == "species"
         yield Declaration(("species" if species else "thing", name), thing.name, thing)
@@ -50,18 +50,18 @@ def _world(path: str, item: nodes.World) -> Found:
             yield Declaration(("own" if species else "attribute", name, each.name.text), each.name, each)
 
 
-def _field(path: str, item: nodes.FieldDecl) -> Found:
+def _field(path: str, item: nodes.FieldDecl) -> Declarations:
     yield Declaration(("field", item.name.text), item.name, item)
 
 
-def _behaviour(path: str, item: nodes.Behaviour) -> Found:
+def _behaviour(path: str, item: nodes.Behaviour) -> Declarations:
     name = item.name.text
     yield Declaration(("behaviour", path, name), item.name, item)
     for each in (*item.arguments, *item.body):
         yield Declaration(("inner", path, name, each.name.text), each.name, each)
 
 
-def _species(path: str, item: nodes.Species) -> Found:
+def _species(path: str, item: nodes.Species) -> Declarations:
     name = item.name.text
     yield Declaration(("species", name), item.name, item)
     yield from _members(name, "main", item.members)
@@ -71,7 +71,7 @@ def _species(path: str, item: nodes.Species) -> Found:
             yield Declaration(("event", event.text), event, event)
 
 
-def _members(species: str, machine: str, members: tuple[object, ...]) -> Found:
+def _members(species: str, machine: str, members: tuple[object, ...]) -> Declarations:
     for member in members:
         own = declaration(member)
         if own is not None:
@@ -86,12 +86,12 @@ def _members(species: str, machine: str, members: tuple[object, ...]) -> Found:
             yield from (Declaration(("let", species, machine, state, each.name.text), each.name, each) for each in lets)
 
 
-def _nothing(path: str, item: nodes.Spec) -> Found:
+def _nothing(path: str, item: nodes.Spec) -> Declarations:
     """A spec declares nothing."""
     return iter(())
 
 
-_TOP: dict[type, Callable[[str, Any], Found]] = {
+_TOP: dict[type, Callable[[str, Any], Declarations]] = {
     nodes.Use: _use, nodes.World: _world, nodes.FieldDecl: _field, nodes.Behaviour: _behaviour, nodes.Species: _species,
     nodes.Spec: _nothing,
 }  # fmt: skip

@@ -23,19 +23,19 @@ def ordered(
 
     `uses` gives the trees in which to look for names. A cycle is reported once, and cut for the order."""
     graph = {name: _used(each, declared, uses) for name, each in declared.items()}
-    done: set[str] = set()
+    ordered_names: set[str] = set()
     circular: set[str] = set()
     order: list[T] = []
     for first in declared:
         path: list[str] = []
-        stack = [] if first in done else [(first, 0)]
+        stack = [] if first in ordered_names else [(first, 0)]
         while stack:
             name, step = stack.pop()
             if step == 0:
                 path.append(name)
             if step == len(graph[name]):
                 path.pop()
-                done.add(name)
+                ordered_names.add(name)
                 order.append(declared[name])
                 continue
             stack.append((name, step + 1))
@@ -45,7 +45,7 @@ def ordered(
                 if not circular & set(circle):
                     _circle(report, what, [name_of(declared[each]) for each in circle])
                 circular |= set(circle)
-            elif used not in done:
+            elif used not in ordered_names:
                 stack.append((used, 0))
     return order, circular
 

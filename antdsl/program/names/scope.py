@@ -11,7 +11,7 @@ from antdsl.diagnostics.suggestion import nearest_name
 from antdsl.program.memo import Memo
 from antdsl.program.model import Binding, Dim, Expr, Kind, Rate, Thing, Type, WorldThing
 from antdsl.program.names.bindings import Use
-from antdsl.program.tables.vocabulary import GIVEN, HIT_GIVEN, ITEM_GIVEN, TYPE_WORDS
+from antdsl.program.tables.vocabulary import BUILTIN_ATTRIBUTES, HIT_ATTRIBUTES, ITEM_ATTRIBUTES, TYPE_WORDS
 from antdsl.source import Span
 from antdsl.syntax import nodes
 
@@ -103,7 +103,7 @@ class Declared:
     outside: int = 0  # stands for all that a part of the program can see of the others, as far as it is known
 
 
-def told_before(scope: Scope, kind: str, name: nodes.Name, owner: str = "") -> bool:
+def is_known_missing(scope: Scope, kind: str, name: nodes.Name, owner: str = "") -> bool:
     """Return whether a name was reported as missing already; from now on it is. A missing name is missing everywhere: that is one
     mistake, and the places are noted. `kind` separates names of different kinds; `owner` is a species to which such a name
     belongs wherever it is used."""
@@ -148,7 +148,7 @@ class Scope:
     no_keep: str | None = None  # why no memory may stand here, in words
     no_let: str | None = None  # why a `let` cannot be read here
     shades: bool = False  # a rule of `fuzzy`: beside a shade of truth a yes or no counts as 1 or 0
-    once: bool = False  # happens once, not each step: shares and amounts instead of rates
+    runs_once: bool = False  # happens once, not each step: shares and amounts instead of rates
 
     def inside(self, **changes: Any) -> Scope:
         return replace(self, **changes)
@@ -184,7 +184,7 @@ class Scope:
     def bind_value(self, span: Span, owner: Type, name: str) -> None:
         """Like `bind`, for an existing value of an item, agent or hit."""
         if owner.kind is Kind.AGENT:
-            self.bind(span, *(("given", name) if name in GIVEN else ("own", owner.of or "", name)))
+            self.bind(span, *(("given", name) if name in BUILTIN_ATTRIBUTES else ("own", owner.of or "", name)))
         elif owner.kind is Kind.HIT or owner.of == "hit":
             self.bind(span, "hit-given", name)
         else:
@@ -234,28 +234,28 @@ def type_from_words(words: str, of: str | None = None) -> Type | None:
 def attributes_of(declared: Declared, type: Type) -> dict[str, Type]:
     """The values of an item, agent or hit that can be read by name; for an agent of any species, those that every animal has."""
     if type.kind is Kind.HIT or (type.kind is Kind.ITEM and type.of == "hit"):
-        return _words(HIT_GIVEN)
+        return _words(HIT_ATTRIBUTES)
     if type.kind is Kind.ITEM:
         thing = declared.things.get(type.of or "")
         own = {a.name: a.type for a in thing.attributes} if thing else {}
-        return _words(ITEM_GIVEN) | own
+        return _words(ITEM_ATTRIBUTES) | own
     if type.kind is Kind.AGENT:
         names = declared.species.get(type.of or "")
-        given = _words({name: row.type for name, row in GIVEN.items()})
-        return given | (names.attributes if names else {})
+        builtin_types = _words({name: row.type for name, row in BUILTIN_ATTRIBUTES.items()})
+        return builtin_types | (names.attributes if names else {})
     return {}
 
 
 def _words(table: Mapping[str, str]) -> dict[str, Type]:
-    return {name: found for name, words in table.items() if (found := type_from_words(words))}
+    return {name: word_type for name, words in table.items() if (word_type := type_from_words(words))}
 
 
 def did_you_mean(word: str, candidates: Iterable[str], otherwise: str | None = None) -> str:
     """Return the help text for an unknown name: the name that was probably meant, or `otherwise`, or the known names."""
     known = list(candidates)
-    found = nearest_name(word, known)
-    if found:
-        return f"did you mean `{found}`?"
+    suggestion = nearest_name(word, known)
+    if suggestion:
+        return f"did you mean `{suggestion}`?"
     return otherwise or (f"there is {listed(known)}" if known else "declare it, or leave this out")
 
 

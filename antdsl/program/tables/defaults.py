@@ -30,8 +30,8 @@ def node_of(text: str, span: Span) -> nodes.Expr:
 def _term(text: str, span: Span) -> nodes.Expr:
     if _NAME.fullmatch(text):
         return nodes.NameRef(nodes.Name(text, span), span)
-    found = QUANTITY.fullmatch(text)
-    if found is None:
+    match = QUANTITY.fullmatch(text)
+    if match is None:
         raise ValueError(f"a default that cannot be read: {text!r}")
-    value = float(found[1])
-    return nodes.Quantity(value, found[2], span, span) if found[2] else nodes.Number(value, span)
+    value = float(match[1])
+    return nodes.Quantity(value, match[2], span, span) if match[2] else nodes.Number(value, span)

@@ -23,11 +23,11 @@ class Effect:
     there. `last`: the agent is removed after it. `draws`: random numbers depend on its place in the text. `feeds`: it supplies
     what it names with what others look for, as a field gets scent and an event is raised.
 
-    `shown` is its line of a plan and `trace` that of a trace. `{of}` is what it names, `{own}` the agent's register that it fills
-    after the blocks. `{whom}` (in a trace) is the species of the one agent that it is for; operands are by name. A part in square
-    brackets is left out if one of these is missing. `refused`: the name of the fault if an operand is not finite; "" if that does
-    not matter. `above_0`: nothing is requested if the first operand is 0 or less; `quiet_at_0`: a trace omits a first operand of
-    0."""
+    `plan_text` is its line of a plan and `trace` that of a trace. `{of}` is what it names, `{own}` the agent's register that it
+    fills after the blocks. `{whom}` (in a trace) is the species of the one agent that it is for; operands are by name. A part in
+    square brackets is left out if one of these is missing. `refused`: the name of the fault if an operand is not finite; "" if
+    that does not matter. `above_0`: nothing is requested if the first operand is 0 or less; `quiet_at_0`: a trace omits a first
+    operand of 0."""
 
     op: str
     target: str
@@ -35,7 +35,7 @@ class Effect:
     phase: str
     help: str
     meaning: str
-    shown: str
+    plan_text: str
     trace: str
     computed: tuple[str, ...] = ()
     too_often: str = ""
@@ -145,8 +145,8 @@ def feeding(kind: str) -> frozenset[str]:
 def phrase(template: str, values: Mapping[str, str | None]) -> str:
     """A template with its values; a part in square brackets is left out where one of its values is None."""
 
-    def part(found: re.Match[str]) -> str:
-        inner = found.group(1)
+    def part(match: re.Match[str]) -> str:
+        inner = match.group(1)
         return "" if any(values[name] is None for name in _NAME.findall(inner)) else inner
 
     return _PART.sub(part, template).format_map(values)

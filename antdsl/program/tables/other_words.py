@@ -55,7 +55,7 @@ CALLS: dict[str, str] = {word: text for words, text in _CALLS for word in words.
 NAMES: dict[str, str] = {word: text for words, text in _NAMES for word in words.split()}
 
 _LETTER = re.compile(r"\{([a-e])\}", re.IGNORECASE)
-_WHOLE = (nodes.Number, nodes.Quantity, nodes.NameRef, nodes.Call, nodes.Member, nodes.Index)
+_UNBRACKETED = (nodes.Number, nodes.Quantity, nodes.NameRef, nodes.Call, nodes.Member, nodes.Index)
 
 
 def instead_of_call(node: nodes.Call, word: str) -> tuple[str, bool] | None:
@@ -67,14 +67,14 @@ def instead_of_call(node: nodes.Call, word: str) -> tuple[str, bool] | None:
     if form is None:
         return None
     letters = sorted({letter.lower() for letter in _LETTER.findall(form)})
-    given = [each for each in node.arguments if isinstance(each, nodes.Argument) and each.name is None]
-    if not letters or len(given) != len(node.arguments) or len(given) != len(letters):
-        return _LETTER.sub(lambda found: found[1].lower(), form), False
-    texts = {letter: each for letter, each in zip(letters, given, strict=True)}
+    positional = [each for each in node.arguments if isinstance(each, nodes.Argument) and each.name is None]
+    if not letters or len(positional) != len(node.arguments) or len(positional) != len(letters):
+        return _LETTER.sub(lambda match: match[1].lower(), form), False
+    texts = {letter: each for letter, each in zip(letters, positional, strict=True)}
 
-    def written(found: re.Match[str]) -> str:
-        each = texts[found[1].lower()]
+    def written(match: re.Match[str]) -> str:
+        each = texts[match[1].lower()]
         text = " ".join(each.span.text.split())
-        return f"({text})" if found[1].isupper() and not isinstance(each.value, _WHOLE) else text
+        return f"({text})" if match[1].isupper() and not isinstance(each.value, _UNBRACKETED) else text
 
     return _LETTER.sub(written, form), True

@@ -17,7 +17,7 @@ class Arg:
     - In statements also: `added T`, a rate per second in a state and an amount elsewhere; `own U`, the name of an
       attribute of the agent, in a unit or of a type.
     - `default`: written in the language. `optional`: may be absent (None).
-    - `above`, `whole`: a constant must be above this, and be whole.
+    - `above`, `is_integer`: a constant must be above this, and be whole.
     - `called`: its name in messages. `sample`: an example for statements."""
 
     name: str
@@ -26,7 +26,7 @@ class Arg:
     optional: bool = False
     variadic: bool = False
     above: float | None = None
-    whole: bool = False
+    is_integer: bool = False
     called: str = ""
     sample: str = ""
 
@@ -50,7 +50,7 @@ class Cost:
 class Builtin:
     """A word of the language for an operation of the typed tree, `op`.
 
-    `spoken`: by a `call`, by the bare `name`, or as the `value` of a thing, if its name is in the place of a value. `called`: its
+    `form`: by a `call`, by the bare `name`, or as the `value` of a thing, if its name is in the place of a value. `called`: its
     name, if that is not `op`. `part`: which result of its sense it is. `sense`: it depends on the agent, whatever the arguments.
     `draws`: it takes a random number. `interval`: the range of its values. `sample`: how it looks in a line."""
 
@@ -59,7 +59,7 @@ class Builtin:
     help: str
     op: str
     part: str = ""
-    spoken: str = "call"
+    form: str = "call"
     called: str = ""
     sense: bool = False
     draws: bool = False

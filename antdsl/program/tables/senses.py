@@ -208,7 +208,11 @@ _ROWS = (
         "gradient noise at the agent's place and time: cells of a size (first), which of its patterns, seconds a cell lasts",
         (
             Builtin(
-                (Arg("scale", "length", above=0), Arg("seed", "number", "0", whole=True), Arg("period", "time", "1 s", above=0)),
+                (
+                    Arg("scale", "length", above=0),
+                    Arg("seed", "number", "0", is_integer=True),
+                    Arg("period", "time", "1 s", above=0),
+                ),
                 "number",
                 "a smooth function of place and time, -1 to 1 and about 0: hills `scale` apart, others after a `period`",
                 "noise",
@@ -232,7 +236,7 @@ _ROWS = (
                     Arg("wish", "velocity"),
                     Arg("within", "length"),
                     Arg("horizon", "time", "2 s", above=0),
-                    Arg("most", "number", "10", above=0, whole=True),
+                    Arg("most", "number", "10", above=0, is_integer=True),
                 ),
                 "velocity",
                 "the velocity nearest to `wish` that avoids collisions for `horizon`, if the others do their half",
@@ -252,7 +256,7 @@ _ROWS = (
         "unit way into the widest gap between the bearings of the nearest others: within mm, at most so many",
         (
             Builtin(
-                (Arg("within", "length"), Arg("most", "number", "16", above=0, whole=True)),
+                (Arg("within", "length"), Arg("most", "number", "16", above=0, is_integer=True)),
                 "push",
                 "into the widest gap between its neighbours, length 1; nothing without any",
                 "widest_gap",
@@ -349,26 +353,26 @@ WORDS = (
         "angle",
         "between the ground and the level",
         "slope",
-        spoken="name",
+        form="name",
         sense=True,
         interval=HALF_TURN,
         sample="when slope > 30 deg -> rest",
     ),
     Builtin(
-        (), "push", "the world's up, laid along the ground", "uphill", spoken="name", sense=True, sample="steer toward(uphill)"
+        (), "push", "the world's up, laid along the ground", "uphill", form="name", sense=True, sample="steer toward(uphill)"
     ),
 )
 
 
-def spoken(how: str) -> tuple[Builtin, ...]:
+def find_words(how: str) -> tuple[Builtin, ...]:
     """Return the words of senses with one syntax: by a `call`, by a bare `name`, or as the `value` of a thing."""
     every = (*(word for sense in _ROWS for word in sense.words), *WORDS)
-    return tuple(word for word in every if word.spoken == how)
+    return tuple(word for word in every if word.form == how)
 
 
-def asked(op: str) -> Sense | None:
+def sense_of(op: str) -> Sense | None:
     """Return the sense that an operation of the typed tree reads, or None if it is not one of its words."""
-    return _ASKED.get(op)
+    return _SENSES_BY_OP.get(op)
 
 
-_ASKED = {word.op: sense for sense in _ROWS for word in sense.words}
+_SENSES_BY_OP = {word.op: sense for sense in _ROWS for word in sense.words}

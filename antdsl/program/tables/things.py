@@ -10,7 +10,7 @@ from dataclasses import dataclass
 class KindOfThing:
     """`word`: as `world { … }` declares it. `called`: in messages, where "a" and the word are not enough. `serves`: kinds of
     things that may replace this one. `typed`: what it is as the type of an argument; "" if it is no type word. In a scene it is
-    `given` as such, in messages `scene`, in an editor `snippet`."""
+    `scene_form` as such, in messages `scene`, in an editor `snippet`."""
 
     word: str
     help: str
@@ -18,7 +18,7 @@ class KindOfThing:
     called: str = ""
     serves: tuple[str, ...] = ()
     typed: str = ""
-    given: str = ""
+    scene_form: str = ""
     scene: str = ""
     snippet: str = ""
 
@@ -31,7 +31,7 @@ _ROWS = (
         called="a surface",
         serves=("surface",),
         typed="a surface by its name",
-        given="a mesh",
+        scene_form="a mesh",
         scene="{mesh: ground.ply}",
         snippet="{mesh: ${1:ground.ply}}",
     ),
@@ -42,7 +42,7 @@ _ROWS = (
         called="an obstacle",
         serves=("obstacle", "surface", "solid"),
         typed="an obstacle, a surface or a solid by its name",
-        given="a mesh",
+        scene_form="a mesh",
         scene="{mesh: stones.ply}",
         snippet="{mesh: ${1:stones.ply}}",
     ),
@@ -52,7 +52,7 @@ _ROWS = (
         "world { solid sand }",
         called="a solid",
         serves=("solid",),
-        given="a mesh",
+        scene_form="a mesh",
         scene="{mesh: hill.ply, voxel: 1 mm}",
         snippet="{mesh: ${1:hill.ply}, voxel: ${2:1 mm}}",
     ),
@@ -62,7 +62,7 @@ _ROWS = (
         "world { items fruit { load = 0 } }",
         serves=("items",),
         typed="all items of a name",
-        given="items",
+        scene_form="items",
         scene="{one: {at: [0, 0, 0]}}",
         snippet="{${1:one}: {at: [${2:0}, 0, ${3:0}]}}",
     ),
@@ -73,7 +73,7 @@ _ROWS = (
         called="a curve",
         serves=("curve",),
         typed="a curve by its name",
-        given="a curve",
+        scene_form="a curve",
         scene="{curve: way.json}",
         snippet="{curve: ${1:way.json}}",
     ),
@@ -84,7 +84,7 @@ _ROWS = (
         called="a flow",
         serves=("flow",),
         typed="a flow by its name",
-        given="a flow",
+        scene_form="a flow",
         scene="{toward: [0, 0, 0], radius: 50 mm}",
         snippet="{toward: ${1:nest}, radius: ${2:50 mm}}",
     ),
@@ -95,7 +95,7 @@ _ROWS = (
         called="a map",
         serves=("map",),
         typed="a map by its name",
-        given="a map",
+        scene_form="a map",
         scene="{painted: ground.ply, attribute: NAME}",
         snippet="{painted: ${1:ground.ply}, attribute: ${2:damp}}",
     ),

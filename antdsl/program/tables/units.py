@@ -101,7 +101,7 @@ def dimension_words(dim: Dim) -> str:
     return with_article(name) if name else f"a value in `{unit_of(dim)}`"
 
 
-def shown(value: float) -> str:
+def format_number(value: float) -> str:
     """A number as one would write it: `30`, `0.05`."""
     return f"{value:.12g}"
 
@@ -109,7 +109,7 @@ def shown(value: float) -> str:
 def with_unit(value: float, dim: Dim) -> str:
     """Return `30 mm` for 30 and a length: the author's number with a unit of the given dimension."""
     unit = unit_of(dim)
-    return f"{shown(value)} {unit}".strip()
+    return f"{format_number(value)} {unit}".strip()
 
 
 def unit_spelling(node: nodes.Expr) -> str:

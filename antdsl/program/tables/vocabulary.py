@@ -71,7 +71,7 @@ TYPE_WORDS: dict[str, Dim | str] = {
 
 
 @dataclass(frozen=True, slots=True)
-class Given:
+class BuiltinAttribute:
     """A name that every agent has. `settable` ones are written without `=` in a species and may be assigned."""
 
     type: str
@@ -80,32 +80,36 @@ class Given:
     help: str
 
 
-GIVEN: dict[str, Given] = {
-    "position": Given("position", False, None, "where it stands"),
-    "velocity": Given("velocity", False, None, "how it moves; may be set in `on` and `enter`"),
-    "heading": Given("push", False, None, "where it faces, a unit vector along the surface; may be set in `on` and `enter`"),
-    "up": Given("push", False, None, "away from the surface, a unit vector"),
-    "speed": Given("speed", False, None, "the length of its velocity"),
-    "moved": Given("length", False, None, "how far contacts pushed it in the step before; 0 where bodies take no room"),
-    "id": Given("number", False, None, "its number, given at birth and never again"),
-    "age": Given("time", False, None, "since birth"),
-    "group": Given("number", False, None, "which line of the scene's `crowd` made it, from 0"),
-    "size": Given("length", True, "4 mm", "body length"),
-    "mass": Given("mass", True, "1 g", "inertia"),
-    "radius": Given("length", True, "size / 2", "how much room it takes"),
-    "clearance": Given("length", True, "0 mm", "height of the body over the surface"),
-    "max_speed": Given("speed", True, "30 mm/s", "fastest"),
-    "min_speed": Given("speed", True, None, "slowest, along its way or else its heading; may stand still if not set"),
-    "max_force": Given("force", True, "mass * max_speed / response", "strength of a push of 1"),
-    "max_turn": Given("angle / time", True, None, "fastest turn of the heading; no limit if not set"),
-    "response": Given("time", True, "0.15 s", "from standing to full speed; `1 step` reaches any velocity at once"),
+BUILTIN_ATTRIBUTES: dict[str, BuiltinAttribute] = {
+    "position": BuiltinAttribute("position", False, None, "where it stands"),
+    "velocity": BuiltinAttribute("velocity", False, None, "how it moves; may be set in `on` and `enter`"),
+    "heading": BuiltinAttribute(
+        "push", False, None, "where it faces, a unit vector along the surface; may be set in `on` and `enter`"
+    ),
+    "up": BuiltinAttribute("push", False, None, "away from the surface, a unit vector"),
+    "speed": BuiltinAttribute("speed", False, None, "the length of its velocity"),
+    "moved": BuiltinAttribute(
+        "length", False, None, "how far contacts pushed it in the step before; 0 where bodies take no room"
+    ),
+    "id": BuiltinAttribute("number", False, None, "its number, given at birth and never again"),
+    "age": BuiltinAttribute("time", False, None, "since birth"),
+    "group": BuiltinAttribute("number", False, None, "which line of the scene's `crowd` made it, from 0"),
+    "size": BuiltinAttribute("length", True, "4 mm", "body length"),
+    "mass": BuiltinAttribute("mass", True, "1 g", "inertia"),
+    "radius": BuiltinAttribute("length", True, "size / 2", "how much room it takes"),
+    "clearance": BuiltinAttribute("length", True, "0 mm", "height of the body over the surface"),
+    "max_speed": BuiltinAttribute("speed", True, "30 mm/s", "fastest"),
+    "min_speed": BuiltinAttribute("speed", True, None, "slowest, along its way or else its heading; may stand still if not set"),
+    "max_force": BuiltinAttribute("force", True, "mass * max_speed / response", "strength of a push of 1"),
+    "max_turn": BuiltinAttribute("angle / time", True, None, "fastest turn of the heading; no limit if not set"),
+    "response": BuiltinAttribute("time", True, "0.15 s", "from standing to full speed; `1 step` reaches any velocity at once"),
 }
 
 # Values of the run, usable anywhere.
 RUN_NAMES: dict[str, str] = {"dt": "time", "time": "time", "frame": "number"}
 
-ITEM_GIVEN: dict[str, str] = {"position": "position", "radius": "length"}
-HIT_GIVEN: dict[str, str] = {"distance": "length", "normal": "push", "position": "position"}
+ITEM_ATTRIBUTES: dict[str, str] = {"position": "position", "radius": "length"}
+HIT_ATTRIBUTES: dict[str, str] = {"distance": "length", "normal": "push", "position": "position"}
 
 
 def _f(
@@ -221,10 +225,10 @@ _PLAIN: dict[str, tuple[Builtin, ...]] = {
 
 
 def _with_senses(plain: dict[str, tuple[Builtin, ...]]) -> dict[str, tuple[Builtin, ...]]:
-    found = dict(plain)
-    for row in senses.spoken("call"):
-        found[row.name] = (*found.get(row.name, ()), row)
-    return found | {row.op: row.rows for row in set_senses.SET_SENSES.values()}
+    operations = dict(plain)
+    for row in senses.find_words("call"):
+        operations[row.name] = (*operations.get(row.name, ()), row)
+    return operations | {row.op: row.rows for row in set_senses.SET_SENSES.values()}
 
 
 # Called as functions. Names with several rows are distinguished by the first argument's type; the first row that fits wins.
@@ -247,7 +251,7 @@ _OTHER_SENSES = (
 OTHER_SENSES: dict[str, str] = {word: instead for words, instead in _OTHER_SENSES for word in words.split()}
 
 # Names, not calls: `slope` is the angle between `up` and the world's up, `uphill` the world's up laid along the ground.
-SENSED_NAMES: dict[str, str] = {row.name: row.result for row in senses.spoken("name")}
+SENSED_NAMES: dict[str, str] = {row.name: row.result for row in senses.find_words("name")}
 
 REDUCERS: dict[str, str] = {
     "sum": "sum of the body; 0 or nothing for an empty set",
@@ -273,7 +277,7 @@ OTHER_OPS = (
     "is_none",
     "is_some",
     "chance",
-    *(row.op for row in senses.spoken("value")),
+    *(row.op for row in senses.find_words("value")),
     *SENSED_NAMES,
     "run",
     "event",
@@ -281,7 +285,7 @@ OTHER_OPS = (
 )
 
 # Operations by what their rows say. A `chance` is a word before a number, and no call.
-_ROWS = (*(row for rows in BUILTINS.values() for row in rows), *senses.spoken("name"), *senses.spoken("value"))
+_ROWS = (*(row for rows in BUILTINS.values() for row in rows), *senses.find_words("name"), *senses.find_words("value"))
 DRAWS = frozenset((*(row.op for row in _ROWS if row.draws), "chance"))
 INTERVALS: dict[str, tuple[float, float]] = {row.op: row.interval for row in _ROWS if row.interval is not None}
 COSTS: dict[str, Cost] = {row.op: row.cost for row in _ROWS if row.cost is not None} | {"chance": _DRAW}

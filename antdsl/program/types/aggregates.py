@@ -7,11 +7,11 @@ from collections.abc import Callable, Container
 from dataclasses import replace
 from typing import cast
 
-from antdsl.program.expectations import GEOMETRY, MOTION, AtStart, Bodily, CellValue, Measured, Other, Whole
+from antdsl.program.expectations import GEOMETRY, MOTION, Aggregate, AtStart, Bodily, CellValue, Measured, Other
 from antdsl.program.model import Binding, Dim, Expr, Kind, Local, ParamRef, Rate, Reduce, Thing, Type
 from antdsl.program.names.scope import BOOL, NUMBER, Declared, Scope, attributes_of, bad, did_you_mean, listed, type_from_words
 from antdsl.program.tables.set_senses import GIVES_SET
-from antdsl.program.tables.vocabulary import GIVEN, SENSED_NAMES
+from antdsl.program.tables.vocabulary import BUILTIN_ATTRIBUTES, SENSED_NAMES
 from antdsl.program.traverse import written
 from antdsl.program.types import calls, expressions, operators
 from antdsl.program.types.arguments import type_all
@@ -65,7 +65,7 @@ class SpecRules:
             return Bodily(type_from_words(GEOMETRY[name]) or NUMBER, Rate.AGENT, node.span, name)
         return expressions.name_of(scope, node, want)
 
-    def _at_start(self, scope: Scope, found: Expr, span: Span) -> Expr:
+    def _at_start(self, scope: Scope, expr: Expr, span: Span) -> Expr:
         if self.inside:
             scope.report.error(
                 "set-in-set",
@@ -74,26 +74,26 @@ class SpecRules:
                 "write `at_start(total(food.load))`",
             )
             return bad(span)
-        if found.type.kind is Kind.BAD:
+        if expr.type.kind is Kind.BAD:
             return bad(span)
-        if found.type.kind is not Kind.NUMBER:
+        if expr.type.kind is not Kind.NUMBER:
             scope.report.error(
-                "wrong-kind", f"`at_start` is for numbers, and this is {type_words(found.type)}", span, "compare numbers"
+                "wrong-kind", f"`at_start` is for numbers, and this is {type_words(expr.type)}", span, "compare numbers"
             )
             return bad(span)
-        return AtStart(found.type, found.rate, span, found)
+        return AtStart(expr.type, expr.rate, span, expr)
 
-    def _in_other(self, scope: Scope, found: Expr, span: Span) -> Expr:
+    def _in_other(self, scope: Scope, expr: Expr, span: Span) -> Expr:
         """Return the value of a number about the whole in the reference run."""
-        if found.type.kind is Kind.BAD:
+        if expr.type.kind is Kind.BAD:
             return bad(span)
-        if self.inside or scope.species is not None or found.type.kind is not Kind.NUMBER or found.rate > Rate.STEP:
+        if self.inside or scope.species is not None or expr.type.kind is not Kind.NUMBER or expr.rate > Rate.STEP:
             scope.report.error(
                 "wrong-rate", "`other` is a number of the whole in another run, where no agent is named", span,
                 "write it in a line of the spec itself: `always: total(nest.load) >= other`",
             )  # fmt: skip
             return bad(span)
-        return Other(found.type, Rate.STEP, span, found)
+        return Other(expr.type, Rate.STEP, span, expr)
 
     def _member(self, scope: Scope, node: nodes.Member, want: Type | None) -> Expr:
         owner, name = node.owner, node.name.text
@@ -171,10 +171,10 @@ class SpecRules:
         if node.op not in _COMPARED or sides[0] == sides[1]:
             return operators.binary(scope, node, want)
         other = node.right if sides[0] else node.left
-        found = value(scope, other)
-        known = cast(nodes.Expr, Known(found, other.span))
+        expr = value(scope, other)
+        known = cast(nodes.Expr, Known(expr, other.span))
         left, right = (node.left, known) if sides[0] else (known, node.right)
-        outer, self.other = self.other, found
+        outer, self.other = self.other, expr
         try:
             return operators.binary(scope, nodes.Binary(node.op, left, right, node.op_span, node.span), want)
         finally:
@@ -190,18 +190,18 @@ class SpecRules:
                 return self._wants_one(scope, node, name)
             return self.compared[name](scope, value(scope, first.value), node.span)
         if name in WHOLES and isinstance(first, nodes.Argument) and first.name is None and not _is_set(scope, first.value):
-            return self._whole(scope, node, name, first.value)
+            return self._aggregate(scope, node, name, first.value)
         if name in ("total", "share"):
             return self._wants_one(scope, node, name)
-        found = calls.call(scope, node, want)
-        if isinstance(found, Reduce) and scope.species is None and not scope.sets:
-            return self._of_set(scope, found)
-        return found
+        expr = calls.call(scope, node, want)
+        if isinstance(expr, Reduce) and scope.species is None and not scope.sets:
+            return self._of_set(scope, expr)
+        return expr
 
     @staticmethod
     def _wants_one(scope: Scope, node: nodes.Call, name: str) -> Expr:
-        whole = f"{name}(total(food.load))" if name in ("at_start", "other") else f"{name}(food.load)"
-        sample = "share(state == carry)" if name == "share" else whole
+        call_sample = f"{name}(total(food.load))" if name in ("at_start", "other") else f"{name}(food.load)"
+        sample = "share(state == carry)" if name == "share" else call_sample
         scope.report.error("wrong-argument", f"`{name}` wants one thing to ask of all", node.span, f"write `{sample}`")
         type_all(scope, node)
         return bad(node.span)
@@ -213,44 +213,44 @@ class SpecRules:
             )
         return self.inside
 
-    def _whole(self, scope: Scope, node: nodes.Call, name: str, asked: nodes.Expr) -> Expr:
+    def _aggregate(self, scope: Scope, node: nodes.Call, name: str, operand: nodes.Expr) -> Expr:
         if self._nested(scope, node.span):
             return bad(node.span)
-        bare = asked.name.text if isinstance(asked, nodes.NameRef) else ""
+        bare = operand.name.text if isinstance(operand, nodes.NameRef) else ""
         how = "total" if name == "sum" else name
-        field = _cells_of(scope.declared, asked)
+        field = _cells_of(scope.declared, operand)
         if field:
-            if name not in _TRUTHS and not (isinstance(asked, nodes.Member) and asked.name.text == "value"):
+            if name not in _TRUTHS and not (isinstance(operand, nodes.Member) and operand.name.text == "value"):
                 return self._no_sum(scope, node, field)
             bare = bare if name in _TRUTHS else field
         if bare in scope.declared.fields and name in (*_OF_CELLS, "count"):
             scope.use("field", bare)
-            scope.bind(asked.owner.span if isinstance(asked, nodes.Member) else asked.span, "field", bare)
-            return Whole(NUMBER, Rate.STEP, node.span, how, Type(Kind.FIELD, of=bare), (), None, None)
+            scope.bind(operand.owner.span if isinstance(operand, nodes.Member) else operand.span, "field", bare)
+            return Aggregate(NUMBER, Rate.STEP, node.span, how, Type(Kind.FIELD, of=bare), (), None, None)
         solid = scope.declared.things.get(bare)
         if solid is not None and solid.kind == "solid" and name == "total":
             scope.use("thing", bare)
-            scope.bind(asked.span, "thing", bare)
-            return Whole(_VOLUME, Rate.STEP, node.span, how, Type(Kind.SOLID, of=bare), (), None, None)
-        over = Type(Kind.FIELD, of=field) if field else _whom(scope, node, asked)
+            scope.bind(operand.span, "thing", bare)
+            return Aggregate(_VOLUME, Rate.STEP, node.span, how, Type(Kind.SOLID, of=bare), (), None, None)
+        over = Type(Kind.FIELD, of=field) if field else _subject(scope, node, operand)
         if over is None:
             return bad(node.span)
         inner, elements = (scope.inside(species=None), ()) if field else _one_of(scope, over, node.span)
-        if isinstance(asked, nodes.NameRef) and bare == over.of:
-            scope.bind_thing(asked.name)
+        if isinstance(operand, nodes.NameRef) and bare == over.of:
+            scope.bind_thing(operand.name)
         self.cells = field
         body: Expr | None = None
         if not (name in ("count", "any") and bare == over.of):
             if bare == over.of:
                 return self._no_value(scope, node, bare)
             self.inside = True
-            body = condition(inner, asked, f"`{name}`") if name in _TRUTHS else body_of(inner, name, asked)
+            body = condition(inner, operand, f"`{name}`") if name in _TRUTHS else body_of(inner, name, operand)
             self.inside, self.cells = False, ""
             if body.type.kind is Kind.BAD:
                 return bad(node.span)
             if body.type.kind is Kind.VECTOR:
-                return self._no_vector(scope, node, asked)
-        return Whole(_result(how, body), Rate.STEP, node.span, how, over, elements, None, body)
+                return self._no_vector(scope, node, operand)
+        return Aggregate(_result(how, body), Rate.STEP, node.span, how, over, elements, None, body)
 
     @staticmethod
     def _no_sum(scope: Scope, node: nodes.Call, field: str) -> Expr:
@@ -269,35 +269,35 @@ class SpecRules:
         return bad(node.span)
 
     @staticmethod
-    def _no_vector(scope: Scope, node: nodes.Call, asked: nodes.Expr) -> Expr:
-        text = " ".join(asked.span.text.split())
+    def _no_vector(scope: Scope, node: nodes.Call, operand: nodes.Expr) -> Expr:
+        text = " ".join(operand.span.text.split())
         scope.report.error(
             "wrong-kind",
             f"{quoted(node.span)} would be a vector, and a spec bounds numbers",
-            asked.span,
+            operand.span,
             f"write `length({text})`",
         )
         return bad(node.span)
 
-    def _of_set(self, scope: Scope, found: Reduce) -> Expr:
+    def _of_set(self, scope: Scope, reduction: Reduce) -> Expr:
         """Type `count(n in forager: n.load > 0)`: a set of all is a whole; anything nearer needs an agent as its owner."""
-        over = found.over
-        if self._nested(scope, found.span):
-            return bad(found.span)
-        whole = over.source == "all" and all(arg is None for arg in over.args)
-        if not whole or found.how in ("best", "nearest") or found.type.kind not in (Kind.NUMBER, Kind.BOOL):
+        over = reduction.over
+        if self._nested(scope, reduction.span):
+            return bad(reduction.span)
+        is_complete_set = over.source == "all" and all(arg is None for arg in over.args)
+        if not is_complete_set or reduction.how in ("best", "nearest") or reduction.type.kind not in (Kind.NUMBER, Kind.BOOL):
             scope.report.error(
                 "wrong-rate",
-                f"{quoted(found.span)} needs an agent, but none is named",
-                found.span,
+                f"{quoted(reduction.span)} needs an agent, but none is named",
+                reduction.span,
                 "ask it in `each SPECIES { … }`, or ask for a `total`, `share`, `mean`, `min`, `max` or `count` of all",
             )
-            return bad(found.span)
+            return bad(reduction.span)
         kind = Kind.ITEMS if over.element.type.kind is Kind.ITEM else Kind.SPECIES
-        body = found.body if found.how != "count" or found.body is None or found.body.rate > Rate.CONST else None
-        how = "total" if found.how == "sum" else found.how
-        elements = (found.element, over.element)
-        return Whole(_result(how, body), Rate.STEP, found.span, how, Type(kind, of=over.of), elements, over.where, body)
+        body = reduction.body if reduction.how != "count" or reduction.body is None or reduction.body.rate > Rate.CONST else None
+        how = "total" if reduction.how == "sum" else reduction.how
+        elements = (reduction.element, over.element)
+        return Aggregate(_result(how, body), Rate.STEP, reduction.span, how, Type(kind, of=over.of), elements, over.where, body)
 
 
 def _result(how: str, body: Expr | None) -> Type:
@@ -321,9 +321,9 @@ def _is_set(scope: Scope, node: nodes.Expr) -> bool:
     return binding is not None and binding.type.kind is Kind.SET
 
 
-def _cells_of(declared: Declared, asked: nodes.Expr) -> str:
+def _cells_of(declared: Declared, operand: nodes.Expr) -> str:
     """Return the field with the cells that a question is about, `trail.value > 0.1`; empty if it is about none."""
-    members = [part for part, _ in written(asked) if isinstance(part, nodes.Member) and part.name.text == "value"]
+    members = [part for part, _ in written(operand) if isinstance(part, nodes.Member) and part.name.text == "value"]
     owners = [part.owner.name.text for part in members if isinstance(part.owner, nodes.NameRef)]
     return next((name for name in owners if name in declared.fields), "")
 
@@ -331,12 +331,12 @@ def _cells_of(declared: Declared, asked: nodes.Expr) -> str:
 # --- subjects --------------------------------------------------------------------------------------------------------
 
 
-def _whom(scope: Scope, node: nodes.Call, asked: nodes.Expr) -> Type | None:
+def _subject(scope: Scope, node: nodes.Call, operand: nodes.Expr) -> Type | None:
     """Return the species or items that a question is about: those with a value that it names, else the only ones with such
     values."""
     declared = scope.declared
-    owners = [part.owner for part, _ in written(asked) if isinstance(part, nodes.Member)]
-    named = [owner.name.text for owner in (*owners, asked) if isinstance(owner, nodes.NameRef)]
+    owners = [part.owner for part, _ in written(operand) if isinstance(part, nodes.Member)]
+    named = [owner.name.text for owner in (*owners, operand) if isinstance(owner, nodes.NameRef)]
     things = [name for name in dict.fromkeys(named) if _things(declared, name) is not None]
     if len(things) == 1:
         kind = _things(declared, things[0])
@@ -352,10 +352,10 @@ def _whom(scope: Scope, node: nodes.Call, asked: nodes.Expr) -> Type | None:
     if scope.species is not None:
         return Type(Kind.SPECIES, of=scope.species.name)
     written_here = [name for name, species in declared.species.items() if species.node is not None]
-    able = written_here if len(written_here) == 1 else [name for name in written_here if _knows(declared, name, asked)]
+    able = written_here if len(written_here) == 1 else [name for name in written_here if _knows(declared, name, operand)]
     if len(able) == 1:
         return Type(Kind.SPECIES, of=able[0])
-    text, names = " ".join(asked.span.text.split()), sorted(able or declared.species)
+    text, names = " ".join(operand.span.text.split()), sorted(able or declared.species)
     name = names[0] if names else "walker"
     if re.match(r"[a-z_][a-z0-9_]*\b(?!\s*\()", text):
         advice = f"name the species: `{node.function.span.text}({name}.{text})`"
@@ -372,15 +372,15 @@ def _things(declared: Declared, name: str) -> Kind | None:
     return Kind.ITEMS if thing is not None and thing.kind == "items" else None
 
 
-def _knows(declared: Declared, species: str, asked: nodes.Expr) -> bool:
+def _knows(declared: Declared, species: str, operand: nodes.Expr) -> bool:
     """Return whether a species has every value that is named bare, judged by names alone."""
     names = declared.species[species]
     states = {state for machine in names.machines.values() for state in machine.states}
-    mine = {*names.attributes, *names.params, *names.bindings, *names.pending, *names.machines, *states, *GIVEN}
+    mine = {*names.attributes, *names.params, *names.bindings, *names.pending, *names.machines, *states, *BUILTIN_ATTRIBUTES}
     everywhere = {*declared.things, *declared.fields, *declared.species, *declared.events, "state", "previous", "next"}
     everywhere |= {*GEOMETRY, "time_in_state", "time", "frame", "dt", "true", "false", *SENSED_NAMES, "self"}
-    called = {id(part.function) for part, _ in written(asked) if isinstance(part, nodes.Call)}
-    bare = {p.name.text for p, _ in written(asked) if isinstance(p, nodes.NameRef) and id(p) not in called}
+    called = {id(part.function) for part, _ in written(operand) if isinstance(part, nodes.Call)}
+    bare = {p.name.text for p, _ in written(operand) if isinstance(p, nodes.NameRef) and id(p) not in called}
     return bare <= mine | everywhere
 
 
@@ -391,5 +391,5 @@ def _one_of(scope: Scope, over: Type, span: Span) -> tuple[Scope, tuple[Binding,
         who = Thing(Type(Kind.AGENT, of=name), Rate.AGENT, span, "self")
         return scope.inside(species=scope.declared.species[name], machine=None, locals={**scope.locals, name: who}), ()
     element = Binding(name, "element", Type(Kind.ITEM, Dim(), name), Rate.ELEMENT, span)
-    there = Local(element.type, Rate.ELEMENT, span, element)
-    return scope.inside(species=None, element=element, locals={**scope.locals, name: there}), (element,)
+    element_value = Local(element.type, Rate.ELEMENT, span, element)
+    return scope.inside(species=None, element=element, locals={**scope.locals, name: element_value}), (element,)

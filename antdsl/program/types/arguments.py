@@ -16,9 +16,9 @@ from antdsl.source import Span
 from antdsl.syntax import nodes
 from antdsl.syntax.mistakes.number_slips import comma_in_number, number_with_comma
 
-PLACES = frozenset({Kind.ITEM, Kind.AGENT, Kind.HIT, Kind.CURVE, Kind.OBSTACLE, Kind.SURFACE, Kind.SOLID, Kind.PLACE})
+PLACE_KINDS = frozenset({Kind.ITEM, Kind.AGENT, Kind.HIT, Kind.CURVE, Kind.OBSTACLE, Kind.SURFACE, Kind.SOLID, Kind.PLACE})
 Called = nodes.Call | nodes.Ask
-Found = dict[str, list[nodes.Argument]]
+ArgumentsBySlot = dict[str, list[nodes.Argument]]
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,7 +31,7 @@ class Slot:
     range: bool = False
 
 
-def arranged(scope: Scope, called: str, slots: Sequence[Slot], node: Called, form: str = "") -> Found | None:
+def arranged(scope: Scope, called: str, slots: Sequence[Slot], node: Called, form: str = "") -> ArgumentsBySlot | None:
     """Return the arguments by slot; None after an error that makes the call unusable. `form`: the text of the call up to its
     bracket, if that is not `called`."""
     form = form or called
@@ -47,35 +47,37 @@ def arranged(scope: Scope, called: str, slots: Sequence[Slot], node: Called, for
     arguments = [each for each in node.arguments if isinstance(each, nodes.Argument)]
     comma = _decimal_comma(slots, arguments)
     if comma is not None:
-        scope.report.add(comma_in_number(comma, only=not _sound(slots, _given(arguments))))
+        scope.report.add(comma_in_number(comma, only=not _sound(slots, _argument_forms(arguments))))
         return None
-    found: Found = {}
+    arguments_by_slot: ArgumentsBySlot = {}
     names, position, sound = [slot.name for slot in slots], 0, True
     late: list[tuple[nodes.Argument, str]] = []  # without a name, behind one that has a name
     for number, argument in enumerate(arguments):
         if argument.name is not None:
-            sound = _named(scope, called, names, found, argument) and sound
+            sound = _named(scope, called, names, arguments_by_slot, argument) and sound
             continue
-        while position < len(slots) and slots[position].name in found and not slots[position].variadic:
+        while position < len(slots) and slots[position].name in arguments_by_slot and not slots[position].variadic:
             position += 1
         if position >= len(slots):
             advice, fix = _as_range(slots, arguments) or (f"write `{_shape(form, slots)}`", None)
             scope.report.error("wrong-arity", f"`{called}` takes {_how_many(slots)}", argument.span, advice, fix=fix)
             return None
-        found.setdefault(slots[position].name, []).append(argument)
+        arguments_by_slot.setdefault(slots[position].name, []).append(argument)
         if any(each.name is not None for each in arguments[:number]):
             late.append((argument, slots[position].name))
         position += 0 if slots[position].variadic else 1
     if late and sound:
         _late(scope, next(each.name for each in arguments if each.name is not None), late)
         return None
-    missing = [slot.name for slot in slots if slot.required and slot.name not in found]
+    missing = [slot.name for slot in slots if slot.required and slot.name not in arguments_by_slot]
     if missing and sound:
         scope.report.error("missing-argument", f"`{called}` wants {listed(missing)}", node.span, f"write `{_shape(form, slots)}`")
-    return None if missing or not sound else found
+    return None if missing or not sound else arguments_by_slot
 
 
-def _named(scope: Scope, called: str, names: list[str], found: dict[str, list[nodes.Argument]], argument: nodes.Argument) -> bool:
+def _named(
+    scope: Scope, called: str, names: list[str], arguments_by_slot: dict[str, list[nodes.Argument]], argument: nodes.Argument
+) -> bool:
     name = argument.name
     assert name is not None
     if name.text not in names:
@@ -90,8 +92,8 @@ def _named(scope: Scope, called: str, names: list[str], found: dict[str, list[no
             fix=Fix(span, near) if near else None,
         )
         return False
-    if name.text in found:
-        first = found[name.text][0].span
+    if name.text in arguments_by_slot:
+        first = arguments_by_slot[name.text][0].span
         scope.report.error(
             "duplicate-argument",
             f"`{name.text}` is given twice",
@@ -100,7 +102,7 @@ def _named(scope: Scope, called: str, names: list[str], found: dict[str, list[no
             labels=(Label(first, "first here"),),
         )
         return False
-    found[name.text] = [argument]
+    arguments_by_slot[name.text] = [argument]
     return True
 
 
@@ -132,11 +134,11 @@ def type_all(scope: Scope, node: Called) -> None:
 def _late(scope: Scope, first: nodes.Name, late: Sequence[tuple[nodes.Argument, str]]) -> None:
     """Report arguments by place after `first`, an argument with a name. The fix adds the names for their places."""
     span = Span(late[0][0].span.source, late[0][0].span.start, late[-1][0].span.end)
-    text, done = "", span.start
+    text, copied_end = "", span.start
     for argument, slot in late:
-        text += f"{span.source.text[done : argument.span.start]}{slot}: "
-        done = argument.span.start
-    text += span.source.text[done : span.end]
+        text += f"{span.source.text[copied_end : argument.span.start]}{slot}: "
+        copied_end = argument.span.start
+    text += span.source.text[copied_end : span.end]
     scope.report.error(
         "argument-order",
         f"{quoted(late[0][0].span)} has no name and stands behind `{first.text}:`, which has one",
@@ -150,16 +152,16 @@ def _decimal_comma(slots: Sequence[Slot], arguments: Sequence[nodes.Argument]) -
     """The first number with a comma that was read as two arguments. A comma parts two of them where the call would lack something
     with such numbers taken as one, and in a list such as `vector(1,2,3)`."""
     joints: dict[int, Span] = {}
-    whole = False  # whether the argument is a number that is the second half of one already
+    is_second_half = False  # whether the argument is a number that is the second half of one already
     tight = 0
     for number, (argument, following) in enumerate(pairwise(arguments)):
         span = None
         if following.span.start == argument.span.end + 1:
             tight += 1
             span = number_with_comma(argument.span.source, argument.span.end)
-        if span is not None and not whole:
+        if span is not None and not is_second_half:
             joints[number] = span
-        whole = number in joints and isinstance(following.value, (nodes.Number, nodes.Quantity))
+        is_second_half = number in joints and isinstance(following.value, (nodes.Number, nodes.Quantity))
     if not joints:
         return None
     merged: list[list[nodes.Argument]] = []
@@ -168,73 +170,81 @@ def _decimal_comma(slots: Sequence[Slot], arguments: Sequence[nodes.Argument]) -
             merged[-1].append(argument)
         else:
             merged.append([argument])
-    one = [_Given(pieces[0].name, any(isinstance(each.value, nodes.RangeExpr) for each in pieces)) for pieces in merged]
-    in_a_row = tight > 1 and tight == len(arguments) - 1 and _sound(slots, _given(arguments))
+    one = [_ArgumentForm(pieces[0].name, any(isinstance(each.value, nodes.RangeExpr) for each in pieces)) for pieces in merged]
+    in_a_row = tight > 1 and tight == len(arguments) - 1 and _sound(slots, _argument_forms(arguments))
     return joints[min(joints)] if _sound(slots, _paired(slots, one), least=2) and not in_a_row else None
 
 
 @dataclass(frozen=True, slots=True)
-class _Given:
+class _ArgumentForm:
     """An argument as far as counting goes."""
 
     name: nodes.Name | None
     range: bool
 
 
-def _given(arguments: Sequence[nodes.Argument]) -> list[_Given]:
-    return [_Given(each.name, isinstance(each.value, nodes.RangeExpr)) for each in arguments]
+def _argument_forms(arguments: Sequence[nodes.Argument]) -> list[_ArgumentForm]:
+    return [_ArgumentForm(each.name, isinstance(each.value, nodes.RangeExpr)) for each in arguments]
 
 
-def _paired(slots: Sequence[Slot], given: Sequence[_Given]) -> list[_Given] | None:
+def _paired(slots: Sequence[Slot], forms: Sequence[_ArgumentForm]) -> list[_ArgumentForm] | None:
     """Return the arguments with two values by place, where a range is expected, as that range; None if a value has no second
     one."""
-    found: list[_Given] = []
-    left = list(given)
+    paired: list[_ArgumentForm] = []
+    left = list(forms)
     while left:
         each = left.pop(0)
-        place = len(found)
+        place = len(paired)
         if each.name is None and not each.range and place < len(slots) and slots[place].range:
             if not left or left[0].name is not None or left[0].range:
                 return None
             left.pop(0)
-        found.append(each)
-    return found
+        paired.append(each)
+    return paired
 
 
 def _as_range(slots: Sequence[Slot], arguments: Sequence[nodes.Argument]) -> tuple[str, Fix] | None:
     """Return what to write for two values where a range is expected, if there is nothing else wrong with how many there are."""
     place = next((n for n, slot in enumerate(slots) if slot.range), len(arguments))
-    if place + 1 >= len(arguments) or not _sound(slots, _paired(slots, _given(arguments))):
+    if place + 1 >= len(arguments) or not _sound(slots, _paired(slots, _argument_forms(arguments))):
         return None
     low, high = arguments[place : place + 2]
     text = f"{' '.join(low.span.text.split())} .. {' '.join(high.span.text.split())}"
     return f"write the two ends as a range: `{text}`", Fix(Span(low.span.source, low.span.start, high.span.end), text)
 
 
-def _sound(slots: Sequence[Slot], given: Sequence[_Given] | None, least: int = 1) -> bool:
+def _sound(slots: Sequence[Slot], forms: Sequence[_ArgumentForm] | None, least: int = 1) -> bool:
     """Return whether the arguments, by place and by name, match the slots. `least`: the minimum number for a variadic call."""
-    if given is None:
+    if forms is None:
         return False
-    by_name = [each.name for each in given]
+    by_name = [each.name for each in forms]
     names = [slot.name for slot in slots]
-    places = sum(name is None for name in by_name)
-    found = {name.text for name in by_name if name is not None}
+    positional_count = sum(name is None for name in by_name)
+    named = {name.text for name in by_name if name is not None}
     many = any(slot.variadic for slot in slots)
-    if any(name is None for name in by_name[places:]) or not found <= set(names) or len(found) + places < len(given):
+    if (
+        any(name is None for name in by_name[positional_count:])
+        or not named <= set(names)
+        or len(named) + positional_count < len(forms)
+    ):
         return False
-    if (places > len(slots) and not many) or (many and places < least) or found & set(names[:places]):
+    if (
+        (positional_count > len(slots) and not many)
+        or (many and positional_count < least)
+        or named & set(names[:positional_count])
+    ):
         return False
-    return all(slot.name in found or number < places for number, slot in enumerate(slots) if slot.required)
+    return all(slot.name in named or number < positional_count for number, slot in enumerate(slots) if slot.required)
 
 
 def place(scope: Scope, node: nodes.Expr, who: str) -> Expr:
     """An expression as a place."""
-    found = scope.typed(node, Type(Kind.PLACE))
-    if found.type.kind in PLACES or found.type.kind is Kind.BAD or found.type == Type(Kind.VECTOR, Dim(length=1)):
-        return found
-    if found.type.kind in (Kind.ITEMS, Kind.SPECIES):
-        return nearest_of(found, node.span)
-    mismatch(scope.report, node, found.type, Type(Kind.PLACE), who)
+    expr = scope.typed(node, Type(Kind.PLACE))
+    if expr.type.kind in PLACE_KINDS or expr.type.kind is Kind.BAD or expr.type == Type(Kind.VECTOR, Dim(length=1)):
+        return expr
+    if expr.type.kind in (Kind.ITEMS, Kind.SPECIES):
+        return nearest_of(expr, node.span)
+    mismatch(scope.report, node, expr.type, Type(Kind.PLACE), who)
     return bad(node.span)
 
 

@@ -13,7 +13,15 @@ from antdsl.program.tables.defaults import default_of
 from antdsl.program.tables.other_words import instead_of_call
 from antdsl.program.tables.rows import Arg, Builtin
 from antdsl.program.tables.units import product, scaled
-from antdsl.program.tables.vocabulary import BUILTINS, GIVEN, OTHER_SENSES, REDUCERS, RESERVED, RUN_NAMES, SENSED_NAMES
+from antdsl.program.tables.vocabulary import (
+    BUILTIN_ATTRIBUTES,
+    BUILTINS,
+    OTHER_SENSES,
+    REDUCERS,
+    RESERVED,
+    RUN_NAMES,
+    SENSED_NAMES,
+)
 from antdsl.program.types.arguments import Slot, arranged, place, type_all
 from antdsl.program.types.descriptions import disagree, fits, mismatch, quoted, type_words
 from antdsl.program.types.expressions import MAY_BE_NONE, THINGS, Known
@@ -84,11 +92,11 @@ def _unknown(scope: Scope, node: nodes.Call, name: nodes.Name, want: Type | None
         return
     known = set(BUILTINS) | set(REDUCERS) | set(scope.file.own) | set(scope.file.library)
     instead, fix = instead_of_call(node, name.text), None
-    if not node.arguments and name.text in (GIVEN.keys() | RUN_NAMES.keys() | SENSED_NAMES.keys()):
+    if not node.arguments and name.text in (BUILTIN_ATTRIBUTES.keys() | RUN_NAMES.keys() | SENSED_NAMES.keys()):
         advice, fix = f"`{name.text}` is a value: write it without brackets", Fix(node.span, name.text)
     elif instead is not None:
-        text, whole = instead
-        advice, fix = (f"write `{text}`", Fix(node.span, text)) if whole else (f"here that is `{text}`", None)
+        text, is_exact = instead
+        advice, fix = (f"write `{text}`", Fix(node.span, text)) if is_exact else (f"here that is `{text}`", None)
     elif name.text in OTHER_SENSES:
         advice = f"ask {OTHER_SENSES[name.text].replace('X', _first_written(node))}"
     else:
@@ -120,14 +128,14 @@ def _builtin(scope: Scope, node: nodes.Call, name: str, want: Type | None) -> Ex
     if rows[0].op in SETS:
         return SETS[rows[0].op](scope, node, name, rows[0])
     row, node = (rows[0], node) if len(rows) == 1 else _row(scope, node, rows)
-    found = arranged(scope, name, [_slot(each) for each in row.args], node)
-    if found is None:
+    arguments_by_slot = arranged(scope, name, [_slot(each) for each in row.args], node)
+    if arguments_by_slot is None:
         type_all(scope, node)
         return bad(node.span)
     variables: Variables = {}
     args: list[Expr | None] = []
     for arg in row.args:
-        written = found.get(arg.name)
+        written = arguments_by_slot.get(arg.name)
         if written is None:
             args += _default(scope, arg, node)
         else:
@@ -151,12 +159,12 @@ def _row(scope: Scope, node: nodes.Call, rows: tuple[Builtin, ...]) -> tuple[Bui
     first = node.arguments[0] if node.arguments else None
     if not isinstance(first, nodes.Argument) or isinstance(first.value, (nodes.RangeExpr, nodes.Number, nodes.Quantity)):
         return fitting[0], node
-    found = scope.typed(first.value)
-    kind = found.type.kind
+    expr = scope.typed(first.value)
+    kind = expr.type.kind
     if len(node.arguments) > 1 and not named and kind is Kind.FIELD:
         kind = Kind.NUMBER  # `max(trail, 0.5)`: the greater of two numbers; cells are meant with `nearest:`
     kind = {Kind.MAP: Kind.NUMBER, Kind.FLOW: Kind.VECTOR}.get(kind, kind)
-    known = nodes.Argument(first.name, cast(nodes.Expr, Known(found, first.value.span)), first.span)
+    known = nodes.Argument(first.name, cast(nodes.Expr, Known(expr, first.value.span)), first.span)
     node = nodes.Call(node.function, (known, *node.arguments[1:]), node.span)
     return next((row for row in fitting if Kind(row.args[0].type.split()[0]) is kind), fitting[0]), node
 
@@ -192,67 +200,67 @@ def _argument(
         ]
     if variable:
         kind = Kind(word)
-        found = value(scope, node)
-        if found.type.kind not in (kind, Kind.BAD):
+        expr = value(scope, node)
+        if expr.type.kind not in (kind, Kind.BAD):
             mismatch(
                 scope.report,
                 node,
-                found.type,
+                expr.type,
                 Type(kind, variables[variable][1].type.dim if variable in variables else Dim()),
                 who,
             )
             return [bad(node.span)]
-        return [_same(scope, called, node, found, variable, variables, dims_only=True)]
+        return [_same(scope, called, node, expr, variable, variables, dims_only=True)]
     type = type_from_words(word) or BAD
-    found = scope.typed(node, type) if type.kind in THINGS else value(scope, node, type)
-    if type.kind is Kind.OBSTACLE and found.type.kind in (Kind.SURFACE, Kind.SOLID):
-        return [found]
-    if not fits(found.type, type):
-        mismatch(scope.report, node, found.type, type, who, found)
+    expr = scope.typed(node, type) if type.kind in THINGS else value(scope, node, type)
+    if type.kind is Kind.OBSTACLE and expr.type.kind in (Kind.SURFACE, Kind.SOLID):
+        return [expr]
+    if not fits(expr.type, type):
+        mismatch(scope.report, node, expr.type, type, who, expr)
         return [bad(node.span)]
-    within_row(scope, arg, who, node.span, found)
-    return [found]
+    within_row(scope, arg, who, node.span, expr)
+    return [expr]
 
 
-def within_row(scope: Scope, arg: Arg, who: str, span: Span, found: Expr, sample: str = "") -> None:
+def within_row(scope: Scope, arg: Arg, who: str, span: Span, expr: Expr, sample: str = "") -> None:
     """Check a constant against the limits in its row. `sample`: a correct example line."""
-    known = constant_behind(found)
+    known = constant_behind(expr)
     if known is None:
         return
     if arg.above is not None and known.number <= arg.above:
         message = f"{who} has to be above {arg.above:g}, and is {quoted(span)}"
         if arg.called:
             message = f"{quoted(span)} is no {arg.called}"
-        help = f"write {type_words(found.type)} above {arg.above:g}" + (f": `{sample}`" if sample else "")
+        help = f"write {type_words(expr.type)} above {arg.above:g}" + (f": `{sample}`" if sample else "")
         scope.report.error("out-of-range", message, span, help)
-    if arg.whole and known.number % 1 != 0:
+    if arg.is_integer and known.number % 1 != 0:
         scope.report.error("wrong-count", f"{who} wants a whole number, not {quoted(span)}", span, "write a number such as `3`")
 
 
 def _same(
-    scope: Scope, called: str, node: nodes.Expr, found: Expr, variable: str, variables: Variables, dims_only: bool = False
+    scope: Scope, called: str, node: nodes.Expr, expr: Expr, variable: str, variables: Variables, dims_only: bool = False
 ) -> Expr:
     """Bind a variable of the table, or compare the value with the one that bound it before."""
-    found = as_value(found)
+    expr = as_value(expr)
     if variable not in variables or variables[variable][1].type.kind is Kind.BAD:
-        variables[variable] = (node, found)
-        return found
+        variables[variable] = (node, expr)
+        return expr
     first_node, first = variables[variable]
     agrees = (
-        first.type.dim == found.type.dim
-        if dims_only and Kind.BAD not in (first.type.kind, found.type.kind)
-        else fits(found.type, first.type)
+        first.type.dim == expr.type.dim
+        if dims_only and Kind.BAD not in (first.type.kind, expr.type.kind)
+        else fits(expr.type, first.type)
     )
     if agrees:
-        return found
-    disagree(scope.report, called, node.span, (first_node, first), (node, found))
+        return expr
+    disagree(scope.report, called, node.span, (first_node, first), (node, expr))
     return bad(node.span)
 
 
 def _range(scope: Scope, called: str, who: str, node: nodes.Expr, variable: str, variables: Variables) -> list[Expr | None]:
     if not isinstance(node, nodes.RangeExpr):
-        found = scope.typed(node)
-        if found.type.kind is not Kind.BAD:
+        expr = scope.typed(node)
+        if expr.type.kind is not Kind.BAD:
             scope.report.error(
                 "wrong-kind",
                 f"{who} wants a range, and {quoted(node.span)} is one value",
@@ -261,9 +269,9 @@ def _range(scope: Scope, called: str, who: str, node: nodes.Expr, variable: str,
             )
         return [bad(node.span), bad(node.span)]
     low, high = (value(scope, end) for end in (node.low, node.high))
-    for end, found in ((node.low, low), (node.high, high)):
-        if found.type.kind not in (Kind.NUMBER, Kind.BAD):
-            mismatch(scope.report, end, found.type, NUMBER, who)
+    for end, expr in ((node.low, low), (node.high, high)):
+        if expr.type.kind not in (Kind.NUMBER, Kind.BAD):
+            mismatch(scope.report, end, expr.type, NUMBER, who)
             return [bad(node.span), bad(node.span)]
     ends: list[Expr | None] = [
         _same(scope, called, node.low, low, variable, variables, True),
@@ -278,11 +286,11 @@ def _range(scope: Scope, called: str, who: str, node: nodes.Expr, variable: str,
 def _operation(scope: Scope, node: nodes.Call, row: Builtin, args: tuple[Expr | None, ...], variables: Variables) -> Expr:
     site = draw_site(scope, node.function.span.text, node.span) if row.draws else ""
     rate = max(rate_of(args), Rate.AGENT) if row.draws or row.sense else rate_of(args)
-    made = Op(_result(row, variables, args), rate, node.span, row.op, args, site)
+    operation = Op(_result(row, variables, args), rate, node.span, row.op, args, site)
     check = _EXTRA.get(row.op)
     if check is not None:
-        check(scope, node, made)
-    return fold(scope.report, made)
+        check(scope, node, operation)
+    return fold(scope.report, operation)
 
 
 def _result(
@@ -301,8 +309,8 @@ def _result(
             return Type(kind, product(_dim(variables, a), _dim(variables, b)))
         return Type(kind, _dim(variables, of))
     if word == "any":
-        found = [v.type for _, v in variables.values() if v.type.kind is not Kind.BAD]
-        return found[0] if found else BAD
+        bound_types = [v.type for _, v in variables.values() if v.type.kind is not Kind.BAD]
+        return bound_types[0] if bound_types else BAD
     if word == "agent":
         first = args[0]
         return Type(Kind.AGENT, of=first.type.of if first is not None else None)
@@ -316,35 +324,35 @@ def _dim(variables: Mapping[str, tuple[nodes.Expr, Expr]], name: str) -> Dim:
 # --- what the table cannot say ---------------------------------------------------------------------------------------
 
 
-def _first(scope: Scope, node: nodes.Call, made: Op) -> None:
-    if made.type.kind not in (*MAY_BE_NONE, Kind.BAD):
+def _first(scope: Scope, node: nodes.Call, operation: Op) -> None:
+    if operation.type.kind not in (*MAY_BE_NONE, Kind.BAD):
         scope.report.error(
             "wrong-kind",
-            f"`first` is for things that may be none, and {quoted(node.arguments[0].span)} is {type_words(made.type)}",
+            f"`first` is for things that may be none, and {quoted(node.arguments[0].span)} is {type_words(operation.type)}",
             node.span,
             "write `first(nearest(food, with: load > 0), nearest(food))` or `max(a, b)`",
         )  # fmt: skip
 
 
-def _pick(scope: Scope, node: nodes.Call, made: Op) -> None:
-    if made.type.kind in THINGS or made.type.kind is Kind.SET:
+def _pick(scope: Scope, node: nodes.Call, operation: Op) -> None:
+    if operation.type.kind in THINGS or operation.type.kind is Kind.SET:
         scope.report.error(
             "wrong-kind",
-            f"`pick` cannot choose {type_words(made.type)}",
+            f"`pick` cannot choose {type_words(operation.type)}",
             node.span,
             "choose between values; `random(rabbit)` is one agent of a species",
         )
 
 
-def _clamp(scope: Scope, node: nodes.Call, made: Op) -> None:
-    low, high = (constant_behind(a) if a is not None else None for a in made.args[1:3])
+def _clamp(scope: Scope, node: nodes.Call, operation: Op) -> None:
+    low, high = (constant_behind(a) if a is not None else None for a in operation.args[1:3])
     if low and high and (low.u, low.step) == (high.u, high.step) and low.number > high.number:
         span: Span = node.arguments[1].span if len(node.arguments) > 1 else node.span
         scope.report.error("empty-range", "the range ends before it begins", span, "write the lesser end first")
 
 
-def _uniform(scope: Scope, node: nodes.Call, made: Op) -> None:
-    low, high = (constant_behind(a) if a is not None else None for a in made.args)
+def _uniform(scope: Scope, node: nodes.Call, operation: Op) -> None:
+    low, high = (constant_behind(a) if a is not None else None for a in operation.args)
     if low and high and (low.u, low.step) == (high.u, high.step) and low.number > high.number:
         written = [arg for arg in node.arguments if isinstance(arg, nodes.Argument)]
         lesser, greater = (" ".join(arg.value.span.text.split()) for arg in reversed(written))
@@ -353,8 +361,8 @@ def _uniform(scope: Scope, node: nodes.Call, made: Op) -> None:
         scope.report.error("empty-range", f"{quoted(node.span)} ends before it begins", node.span, f"write `{better}`", fix=fix)
 
 
-def _normal(scope: Scope, node: nodes.Call, made: Op) -> None:
-    deviation = constant_behind(made.args[1]) if made.args[1] is not None else None
+def _normal(scope: Scope, node: nodes.Call, operation: Op) -> None:
+    deviation = constant_behind(operation.args[1]) if operation.args[1] is not None else None
     if deviation is not None and deviation.number < 0:
         span = node.arguments[-1].span
         scope.report.error("out-of-range", "a deviation below 0", span, "write a width above 0, as in `normal(0 deg, 20 deg)`")

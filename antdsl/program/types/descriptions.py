@@ -6,7 +6,7 @@ import re
 
 from antdsl.diagnostics import Diagnostic, Fix, Label, Report
 from antdsl.program.model import Dim, Expr, Kind, Op, Type
-from antdsl.program.tables.senses import spoken
+from antdsl.program.tables.senses import find_words
 from antdsl.program.tables.things import KINDS_OF_THINGS
 from antdsl.program.tables.units import dimension_words, with_article, with_unit
 from antdsl.source import Span
@@ -23,7 +23,7 @@ _KINDS: dict[Kind, str] = {
     Kind.FIELD: "a field",
 }
 # Things that are named and are no value: an expression must read something of them.
-_THINGS = frozenset(Kind(word) for word in KINDS_OF_THINGS) - {Kind(each.args[0].type) for each in spoken("value")}
+_THINGS = frozenset(Kind(word) for word in KINDS_OF_THINGS) - {Kind(each.args[0].type) for each in find_words("value")}
 _VECTORS: dict[Dim, str] = {Dim(): "a push or direction", Dim(length=1): "a position", Dim(length=1, time=-1): "a velocity"}
 
 
@@ -49,39 +49,39 @@ def quoted(span: Span, most: int = 40) -> str:
     return f"`{text}`"
 
 
-def fits(actual: Type, wanted: Type) -> bool:
+def fits(actual: Type, expected: Type) -> bool:
     """Return whether a value of one type may replace one of the other. Values with a reported error fit everywhere."""
-    if Kind.BAD in (actual.kind, wanted.kind):
+    if Kind.BAD in (actual.kind, expected.kind):
         return True
-    if actual.kind is not wanted.kind:
+    if actual.kind is not expected.kind:
         return False
-    if actual.kind in (Kind.NUMBER, Kind.VECTOR) and actual.dim != wanted.dim:
+    if actual.kind in (Kind.NUMBER, Kind.VECTOR) and actual.dim != expected.dim:
         return False
-    return actual.of is None or wanted.of is None or actual.of == wanted.of
+    return actual.of is None or expected.of is None or actual.of == expected.of
 
 
-def mismatch(report: Report, node: nodes.Expr, actual: Type, wanted: Type, place: str, found: Expr | None = None) -> None:
-    """Report that `node` has another type than `place` needs: a missing unit, a wrong unit, or another kind of thing. `found` is
+def mismatch(report: Report, node: nodes.Expr, actual: Type, expected: Type, place: str, expr: Expr | None = None) -> None:
+    """Report that `node` has another type than `place` needs: a missing unit, a wrong unit, or another kind of thing. `expr` is
     its typed expression, if known."""
-    if isinstance(found, Op) and found.name == "map_value" and wanted.kind is Kind.VECTOR:
+    if isinstance(expr, Op) and expr.name == "map_value" and expected.kind is Kind.VECTOR:
         text = " ".join(node.span.text.split())
         report.add(
             Diagnostic(
                 "wrong-kind",
-                f"`{text}` is a map of plain numbers, and {place} wants {type_words(wanted)}",
+                f"`{text}` is a map of plain numbers, and {place} wants {type_words(expected)}",
                 node.span,
                 help=f"what is painted with directions is a flow: `world {{ flow {text} }}`",
             )
         )
         return
-    report.add(_mismatch(node, actual, wanted, place))
+    report.add(_mismatch(node, actual, expected, place))
 
 
-def _mismatch(node: nodes.Expr, actual: Type, wanted: Type, place: str) -> Diagnostic:
-    text, want = quoted(node.span), type_words(wanted)
-    both_numbers = actual.kind is Kind.NUMBER and wanted.kind is Kind.NUMBER
+def _mismatch(node: nodes.Expr, actual: Type, expected: Type, place: str) -> Diagnostic:
+    text, want = quoted(node.span), type_words(expected)
+    both_numbers = actual.kind is Kind.NUMBER and expected.kind is Kind.NUMBER
     if both_numbers and isinstance(node, nodes.Number):
-        write = with_unit(node.value, wanted.dim)
+        write = with_unit(node.value, expected.dim)
         return Diagnostic(
             "missing-unit",
             f"{text} has no unit, and {place} wants {want}",
@@ -93,18 +93,18 @@ def _mismatch(node: nodes.Expr, actual: Type, wanted: Type, place: str) -> Diagn
         fix = None
         advice = f"write {want}"
         if isinstance(node, nodes.Quantity):
-            write = with_unit(node.value, wanted.dim)
+            write = with_unit(node.value, expected.dim)
             advice, fix = f"write {want}, such as `{write}`", Fix(node.span, write)
         return Diagnostic(
             "wrong-unit", f"{text} is {type_words(actual)}, and {place} wants {want}", node.span, help=advice, fix=fix
         )
-    if actual.kind is wanted.kind and actual.kind is Kind.VECTOR:
-        advice = "`direction(x)`, `unit(v)` and `match(velocity)` make pushes" if wanted.dim == Dim() else f"write {want}"
+    if actual.kind is expected.kind and actual.kind is Kind.VECTOR:
+        advice = "`direction(x)`, `unit(v)` and `match(velocity)` make pushes" if expected.dim == Dim() else f"write {want}"
         return Diagnostic("wrong-unit", f"{text} is {type_words(actual)}, and {place} wants {want}", node.span, help=advice)
-    advice = _advice(node, actual, wanted)
+    advice = _advice(node, actual, expected)
     message = f"{text} is {type_words(actual)}, and {place} wants {want}"
-    fix = _with_units(node) if wanted.kind is Kind.PLACE and actual == Type(Kind.VECTOR) else None
-    if fix is None and wanted.kind is not Kind.FLOW and not (wanted.kind is Kind.BOOL and actual.kind in _THINGS):
+    fix = _with_units(node) if expected.kind is Kind.PLACE and actual == Type(Kind.VECTOR) else None
+    if fix is None and expected.kind is not Kind.FLOW and not (expected.kind is Kind.BOOL and actual.kind in _THINGS):
         fix = _made_of(node, advice)
     return Diagnostic("wrong-kind", message, node.span, help=advice, fix=fix)
 
@@ -125,31 +125,31 @@ def _is_minus(node: nodes.Expr) -> bool:
 
 def _made_of(node: nodes.Expr, advice: str) -> Fix | None:
     """Return the first text in backquotes of the advice as a fix, if it consists of the author's text."""
-    text, made = " ".join(node.span.text.split()), re.search("`([^`…]+)`", advice)
-    return Fix(node.span, made[1]) if made and text in made[1] else None
+    text, match = " ".join(node.span.text.split()), re.search("`([^`…]+)`", advice)
+    return Fix(node.span, match[1]) if match and text in match[1] else None
 
 
-def _advice(node: nodes.Expr, actual: Type, wanted: Type) -> str:
+def _advice(node: nodes.Expr, actual: Type, expected: Type) -> str:
     text = " ".join(node.span.text.split())
     short = text if len(text) <= 30 else "…"
-    if wanted.kind is Kind.BOOL and actual.kind in _THINGS:
+    if expected.kind is Kind.BOOL and actual.kind in _THINGS:
         any_there = f", or `nearest({short})` for whether there is any" if actual.kind in (Kind.ITEMS, Kind.SPECIES) else ""
         return f"ask something of it: `touching({short})`, `distance({short}) < 20 mm`{any_there}"
-    if wanted.kind is Kind.PLACE:
-        made = _with_units(node) if actual.kind is Kind.VECTOR else None
-        if made is not None:
-            return f"a place has lengths: `{made.text}`"
+    if expected.kind is Kind.PLACE:
+        fix = _with_units(node) if actual.kind is Kind.VECTOR else None
+        if fix is not None:
+            return f"a place has lengths: `{fix.text}`"
         if actual.kind is Kind.VECTOR and actual.dim == Dim():
             ahead = f"{short} * 20 mm" if not isinstance(node, nodes.Binary) else f"({short}) * 20 mm"
             return f"a direction is no place: steer by it as it is, or name the place that way: `position + {ahead}`"
         return "name an item, an agent or a position, such as `nearest(food)` or `vector(10 mm, 0 mm, 0 mm)`"
-    if wanted.kind is Kind.BOOL and actual.kind is Kind.NUMBER:
+    if expected.kind is Kind.BOOL and actual.kind is Kind.NUMBER:
         if isinstance(node, (nodes.Number, nodes.Quantity)):
             return "a number alone asks nothing: compare something with it"
         if isinstance(node, nodes.Binary) and node.op in ("and", "or"):
             short = f"({short})"
         return f"compare it with something: `{short} > {with_unit(0.5 if actual.dim == Dim() else 1, actual.dim)}`"
-    if wanted.kind is Kind.VECTOR and wanted.dim == Dim():
+    if expected.kind is Kind.VECTOR and expected.dim == Dim():
         if actual.kind in (Kind.ITEM, Kind.AGENT, Kind.ITEMS, Kind.SPECIES, Kind.PLACE, Kind.CURVE):
             return f"`direction({short})` is the push toward it"
         if actual.kind is Kind.NUMBER:
@@ -158,17 +158,17 @@ def _advice(node: nodes.Expr, actual: Type, wanted: Type) -> str:
                 if actual.dim == Dim()
                 else "a push has a direction, such as `heading`"
             )
-    if wanted.kind is Kind.NUMBER and actual.kind is Kind.VECTOR:
+    if expected.kind is Kind.NUMBER and actual.kind is Kind.VECTOR:
         return f"`length({short})` is a number"
-    if wanted.kind is Kind.NUMBER and actual.kind in (Kind.ITEM, Kind.AGENT, Kind.PLACE):
+    if expected.kind is Kind.NUMBER and actual.kind in (Kind.ITEM, Kind.AGENT, Kind.PLACE):
         return f"`distance({short})` is a length; `{short}.size` and the like are its values"
-    if wanted.kind is Kind.FLOW:
+    if expected.kind is Kind.FLOW:
         if actual.kind is Kind.VECTOR:
             return f"`toward({short})` takes any direction; here the name of a flow is needed"
         return "name a flow: `world { flow drift }`, and in the scene `drift: {toward: nest}`"
-    if wanted.kind is Kind.ITEM and actual.kind is Kind.ITEMS:
+    if expected.kind is Kind.ITEM and actual.kind is Kind.ITEMS:
         return f"`nearest({short})` is one of them"
-    return f"write {type_words(wanted)}"
+    return f"write {type_words(expected)}"
 
 
 def disagree(report: Report, op: str, span: Span, left: tuple[nodes.Expr, Expr], right: tuple[nodes.Expr, Expr]) -> None:

@@ -8,11 +8,21 @@ from antdsl import limits
 from antdsl.diagnostics import Fix
 from antdsl.program.model import Attribute, Binding, Const, Expr, Kind, Local, NoneRef, Op, ParamRef, Rate, SetOf, Thing, Type
 from antdsl.program.names.missing import missing_thing
-from antdsl.program.names.scope import BAD, BOOL, Scope, attributes_of, bad, did_you_mean, listed, told_before, type_from_words
+from antdsl.program.names.scope import (
+    BAD,
+    BOOL,
+    Scope,
+    attributes_of,
+    bad,
+    did_you_mean,
+    is_known_missing,
+    listed,
+    type_from_words,
+)
 from antdsl.program.tables.other_words import NAMES
 from antdsl.program.tables.things import KINDS_OF_THINGS
 from antdsl.program.tables.units import constant, number
-from antdsl.program.tables.vocabulary import BUILTINS, GIVEN, REDUCERS, RESERVED, RUN_NAMES, SENSED_NAMES, UNITS
+from antdsl.program.tables.vocabulary import BUILTIN_ATTRIBUTES, BUILTINS, REDUCERS, RESERVED, RUN_NAMES, SENSED_NAMES, UNITS
 from antdsl.program.types.descriptions import quoted, type_words
 from antdsl.program.types.states import STATE_WORDS, machine_named, of_machine, state_word
 from antdsl.source import Span
@@ -31,12 +41,12 @@ def number_of(scope: Scope, node: nodes.Number, want: Type | None) -> Expr:
 
 
 def quantity_of(scope: Scope, node: nodes.Quantity, want: Type | None) -> Expr:
-    found = constant(node.value, node.unit, node.span)
-    if found is not None:
-        if abs(found.number) > limits.LARGEST:
+    expr = constant(node.value, node.unit, node.span)
+    if expr is not None:
+        if abs(expr.number) > limits.LARGEST:
             message = f"{quoted(node.span)} is too large to keep"
             scope.report.error("number-too-large", message, node.span, "write a smaller number")
-        return found
+        return expr
     units = ", ".join(f"`{unit}`" for unit in UNITS)
     scope.report.error(
         "unknown-unit", f"no unit `{node.unit}`", node.unit_span, did_you_mean(node.unit, UNITS, f"units are {units}")
@@ -85,26 +95,26 @@ def referable(scope: Scope, name: nodes.Name) -> Type | None:
 
 def name_of(scope: Scope, node: nodes.NameRef, want: Type | None) -> Expr:
     name, span = node.name.text, node.span
-    for look in (_local, _of_element, _word, _own, _given, _of_world):
-        found = look(scope, name, span)
-        if found is not None:
-            return found
+    for look in (_local, _of_element, _word, _own, _builtin_value, _of_world):
+        expr = look(scope, name, span)
+        if expr is not None:
+            return expr
     return _unknown(scope, node, want)
 
 
 def _local(scope: Scope, name: str, span: Span) -> Expr | None:
-    found = scope.locals.get(name)
-    if found is None:
+    local_value = scope.locals.get(name)
+    if local_value is None:
         return None
-    if isinstance(found, Binding):
-        scope.use("local", f"{found.span}:{name}")
-        scope.bind_local(span, found.span)
-        return read(scope, found, span)
-    if found.type.kind is Kind.BAD:
-        scope.bind_local(span, found.span)
+    if isinstance(local_value, Binding):
+        scope.use("local", f"{local_value.span}:{name}")
+        scope.bind_local(span, local_value.span)
+        return read(scope, local_value, span)
+    if local_value.type.kind is Kind.BAD:
+        scope.bind_local(span, local_value.span)
     else:
-        scope.bind(span, "species" if found.type.kind is Kind.AGENT else "thing", name)  # one of them, in a spec
-    return found
+        scope.bind(span, "species" if local_value.type.kind is Kind.AGENT else "thing", name)  # one of them, in a spec
+    return local_value
 
 
 def read(scope: Scope, binding: Binding, span: Span) -> Expr:
@@ -120,7 +130,7 @@ def _too_early(scope: Scope, name: str, span: Span) -> None:
     scope.report.error("let-too-early", f"`{name}` cannot be read here: {scope.no_let}", span, "set it in `on spawn { … }`")
 
 
-def about_whom(scope: Scope, node: nodes.Name, owner: str = "") -> Expr:
+def report_pair_value(scope: Scope, node: nodes.Name, owner: str = "") -> Expr:
     """Report a pair value that is named without its other agent."""
     help = f"the agent that has it reads it: `{node.text}[other]`" if owner else f"write `{node.text}[other]`"
     scope.report.error("wrong-kind", f"`{node.text}` is a value per pair: name the other agent", node.span, help)
@@ -161,7 +171,7 @@ def _own(scope: Scope, name: str, span: Span) -> Expr | None:
         scope.use("param", f"{species.name}.{name}")
         return ParamRef(species.params[name], Rate.RUN, span, f"{species.name}.{name}")
     if name in species.each:
-        return about_whom(scope, nodes.Name(name, span))
+        return report_pair_value(scope, nodes.Name(name, span))
     if name in species.attributes:
         scope.use("attribute", f"{species.name}.{name}")
         return Attribute(species.attributes[name], Rate.AGENT, span, None, name)
@@ -178,9 +188,9 @@ def _own(scope: Scope, name: str, span: Span) -> Expr | None:
     return None
 
 
-def _given(scope: Scope, name: str, span: Span) -> Expr | None:
-    if name in GIVEN:
-        type = type_from_words(GIVEN[name].type)
+def _builtin_value(scope: Scope, name: str, span: Span) -> Expr | None:
+    if name in BUILTIN_ATTRIBUTES:
+        type = type_from_words(BUILTIN_ATTRIBUTES[name].type)
         return Attribute(type or BAD, Rate.AGENT, span, None, name)
     if name in RUN_NAMES:
         type, rate = type_from_words(RUN_NAMES[name]) or BAD, Rate.RUN if name == "dt" else Rate.STEP
@@ -215,7 +225,7 @@ def _of_world(scope: Scope, name: str, span: Span) -> Expr | None:
 
 def visible(scope: Scope) -> set[str]:
     """Every name that may be written as a value at a place."""
-    names = set(scope.locals) | set(GIVEN) | set(RUN_NAMES) | set(SENSED_NAMES) | {"self", "true", "false"}
+    names = set(scope.locals) | set(BUILTIN_ATTRIBUTES) | set(RUN_NAMES) | set(SENSED_NAMES) | {"self", "true", "false"}
     names |= set(scope.declared.fields) | set(scope.declared.things) | set(scope.declared.species) | set(scope.declared.events)
     if scope.species is not None and scope.behaviour is None:
         own = scope.species
@@ -230,7 +240,7 @@ def _unknown(scope: Scope, node: nodes.NameRef, want: Type | None) -> Expr:
     name, report = node.name.text, scope.report
     if name in scope.declared.unclear:
         return bad(node.span)
-    if told_before(scope, "name", node.name):
+    if is_known_missing(scope, "name", node.name):
         return bad(node.span)
     if name in RESERVED:
         report.error("not-yet", f"`{name}` is a word of the language that does not work yet", node.span, "leave it out for now")
@@ -251,7 +261,9 @@ def _unknown(scope: Scope, node: nodes.NameRef, want: Type | None) -> Expr:
     else:
         advice, fix = missing_thing(scope, name, want) or _other_word(name, node.span)
         if advice is None:
-            advice = did_you_mean(name, visible(scope), f"declare it, or use one of {listed(visible(scope) - set(GIVEN))}")
+            advice = did_you_mean(
+                name, visible(scope), f"declare it, or use one of {listed(visible(scope) - set(BUILTIN_ATTRIBUTES))}"
+            )
         report.error("unknown-name", f"no `{name}` is known here", node.span, advice, fix=fix)
     return bad(node.span)
 
@@ -296,7 +308,7 @@ def member_of(scope: Scope, node: nodes.Member, want: Type | None) -> Expr:
         scope.bind_value(node.name.span, owner.type, name)
         species = scope.declared.species.get(owner.type.of or "") if kind is Kind.AGENT else None
         if species is not None and name in species.each:
-            return about_whom(scope, node.name, owner.type.of or "")
+            return report_pair_value(scope, node.name, owner.type.of or "")
         return value_of(scope, owner, name, known[name], node.span)
     scope.bind_unreadable(node.name, owner.type)
     _no_member(scope, owner, node, known)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from antdsl.diagnostics import Fix
 from antdsl.program.model import Const, Expr, Kind, Op, Rate, Type
 from antdsl.program.names.scope import BAD, BOOL, NUMBER, PER_SECOND, PUSH, VELOCITY, Scope, bad, rate_of, type_from_words
-from antdsl.program.tables.senses import spoken
+from antdsl.program.tables.senses import find_words
 from antdsl.program.tables.units import product, scaled
 from antdsl.program.tables.vocabulary import SIGN_OPS
 from antdsl.program.types.descriptions import disagree, fits, mismatch, quoted, type_words
@@ -18,7 +18,7 @@ from antdsl.syntax import nodes
 _COMPARED = ("<", "<=", ">", ">=")
 _EQUAL = ("==", "!=")
 # What the bare name of a thing is in the place of a value, by the kind of thing.
-_VALUE_HERE = {Kind(row.args[0].type): (row.op, type_from_words(row.result) or BAD) for row in spoken("value")}
+_VALUE_HERE = {Kind(row.args[0].type): (row.op, type_from_words(row.result) or BAD) for row in find_words("value")}
 
 
 def op(name: str, type: Type, span: Span, *args: Expr | None, site: str = "") -> Op:
@@ -34,46 +34,46 @@ def value(scope: Scope, node: nodes.Expr, want: Type | None = None) -> Expr:
 
 
 def as_value(expr: Expr) -> Expr:
-    here = _VALUE_HERE.get(expr.type.kind)
-    return expr if here is None else Op(here[1], Rate.AGENT, expr.span, here[0], (expr,))
+    value_op = _VALUE_HERE.get(expr.type.kind)
+    return expr if value_op is None else Op(value_op[1], Rate.AGENT, expr.span, value_op[0], (expr,))
 
 
-def wanted(scope: Scope, node: nodes.Expr, want: Type, place: str) -> Expr:
+def value_of_type(scope: Scope, node: nodes.Expr, want: Type, place: str) -> Expr:
     """Return the value of an expression of a required type; `place` describes the place for messages."""
-    found = value(scope, node, want)
-    if fits(found.type, want):
-        return found
-    return _unlike(scope, node, found, want, place)
+    expr = value(scope, node, want)
+    if fits(expr.type, want):
+        return expr
+    return _unlike(scope, node, expr, want, place)
 
 
-def _unlike(scope: Scope, node: nodes.Expr, found: Expr, want: Type, place: str) -> Expr:
-    mismatch(scope.report, node, found.type, want, place, found)
+def _unlike(scope: Scope, node: nodes.Expr, expr: Expr, want: Type, place: str) -> Expr:
+    mismatch(scope.report, node, expr.type, want, place, expr)
     return bad(node.span)
 
 
 def faced(scope: Scope, node: nodes.Expr) -> Expr:
     """Return the value of an expression that gives a direction to face: a push or a velocity, of which only the direction
     counts."""
-    found = value(scope, node, PUSH)
-    if fits(found.type, VELOCITY):
-        return found
-    return found if fits(found.type, PUSH) else _unlike(scope, node, found, PUSH, "`face`")
+    expr = value(scope, node, PUSH)
+    if fits(expr.type, VELOCITY):
+        return expr
+    return expr if fits(expr.type, PUSH) else _unlike(scope, node, expr, PUSH, "`face`")
 
 
 def condition(scope: Scope, node: nodes.Expr, place: str) -> Expr:
     """Return an expression as a bool; an item, agent, hit or set is true if it is not empty."""
-    if not scope.once and _mentions_event(scope, node):
+    if not scope.runs_once and _mentions_event(scope, node):
         scope = scope.inside(once=True)
     return truth(scope, node, value(scope, node, BOOL), place)
 
 
-def truth(scope: Scope, node: nodes.Expr, found: Expr, place: str) -> Expr:
-    kind = found.type.kind
+def truth(scope: Scope, node: nodes.Expr, expr: Expr, place: str) -> Expr:
+    kind = expr.type.kind
     if kind in (Kind.BOOL, Kind.BAD):
-        return found
+        return expr
     if kind in MAY_BE_NONE or kind is Kind.SET or (kind is Kind.PLACE and scope.generic):
-        return op("is_some", BOOL, found.span, found)
-    mismatch(scope.report, node, found.type, BOOL, place)
+        return op("is_some", BOOL, expr.span, expr)
+    mismatch(scope.report, node, expr.type, BOOL, place)
     return bad(node.span)
 
 
@@ -97,11 +97,11 @@ def _mentions_event(scope: Scope, node: nodes.Expr) -> bool:
 
 def unary(scope: Scope, node: nodes.Unary, want: Type | None) -> Expr:
     if node.op == "-":
-        found = value(scope, node.operand)
-        if found.type.kind not in (Kind.NUMBER, Kind.VECTOR, Kind.BAD):
-            mismatch(scope.report, node.operand, found.type, NUMBER, "`-`")
+        expr = value(scope, node.operand)
+        if expr.type.kind not in (Kind.NUMBER, Kind.VECTOR, Kind.BAD):
+            mismatch(scope.report, node.operand, expr.type, NUMBER, "`-`")
             return bad(node.span)
-        return fold(scope.report, op("neg", found.type, node.span, found))
+        return fold(scope.report, op("neg", expr.type, node.span, expr))
     if node.op == "not":
         return _not(scope, node)
     if node.op == "no":
@@ -110,46 +110,46 @@ def unary(scope: Scope, node: nodes.Unary, want: Type | None) -> Expr:
 
 
 def _not(scope: Scope, node: nodes.Unary) -> Expr:
-    found = value(scope, node.operand, BOOL)
-    if found.type == NUMBER:
-        return op("sub", NUMBER, node.span, Const(NUMBER, Rate.CONST, node.span, 1.0), found)
-    if found.type == BAD:
+    expr = value(scope, node.operand, BOOL)
+    if expr.type == NUMBER:
+        return op("sub", NUMBER, node.span, Const(NUMBER, Rate.CONST, node.span, 1.0), expr)
+    if expr.type == BAD:
         return bad(node.span)
-    return op("not", BOOL, node.span, truth(scope, node.operand, found, "`not`"))
+    return op("not", BOOL, node.span, truth(scope, node.operand, expr, "`not`"))
 
 
 def _no(scope: Scope, node: nodes.Unary) -> Expr:
-    found = scope.typed(node.operand)
-    return _none_test(scope, node.operand, found, node.span, "no")
+    expr = scope.typed(node.operand)
+    return _none_test(scope, node.operand, expr, node.span, "no")
 
 
-def _none_test(scope: Scope, node: nodes.Expr, found: Expr, span: Span, word: str) -> Expr:
-    kind = found.type.kind
+def _none_test(scope: Scope, node: nodes.Expr, expr: Expr, span: Span, word: str) -> Expr:
+    kind = expr.type.kind
     if kind in MAY_BE_NONE or kind in (Kind.SET, Kind.BAD, Kind.PLACE):
-        return op("is_none", BOOL, span, found)
+        return op("is_none", BOOL, span, expr)
     advice = "`not` turns a yes into a no" if kind is Kind.BOOL else "only an item, an agent, a hit or a set can be none"
     fix = None
     if kind in (Kind.ITEMS, Kind.SPECIES):
         nearest = f"nearest({' '.join(node.span.text.split())})"
         advice, fix = f"ask for one of them: `no {nearest}`", Fix(node.span, nearest)
-    message = f"{quoted(node.span)} is {type_words(found.type)}, which is never none"
+    message = f"{quoted(node.span)} is {type_words(expr.type)}, which is never none"
     scope.report.error("wrong-kind", message, node.span, advice, fix=fix)
     return bad(span)
 
 
 def is_none(scope: Scope, node: nodes.IsNone, want: Type | None) -> Expr:
-    found = scope.typed(node.operand)
-    test = _none_test(scope, node.operand, found, node.span, "is none")
+    expr = scope.typed(node.operand)
+    test = _none_test(scope, node.operand, expr, node.span, "is none")
     return op("not", BOOL, node.span, test) if node.negated and isinstance(test, Op) else test
 
 
 def _chance(scope: Scope, node: nodes.Unary) -> Expr:
-    found = value(scope, node.operand)
+    expr = value(scope, node.operand)
     site = draw_site(scope, "chance", node.span)
-    _bounded_chance(scope, node, found)
-    if fits(found.type, PER_SECOND) or (scope.once and fits(found.type, NUMBER)):
-        return Op(BOOL, max(found.rate, Rate.AGENT), node.span, "chance", (found,), site)
-    if found.type == NUMBER:
+    _bounded_chance(scope, node, expr)
+    if fits(expr.type, PER_SECOND) or (scope.runs_once and fits(expr.type, NUMBER)):
+        return Op(BOOL, max(expr.rate, Rate.AGENT), node.span, "chance", (expr,), site)
+    if expr.type == NUMBER:
         text = " ".join(node.operand.span.text.split())
         if isinstance(node.operand, nodes.Number | nodes.Quantity):
             text = text.replace(",", ".")
@@ -158,19 +158,19 @@ def _chance(scope: Scope, node: nodes.Unary) -> Expr:
             f"write `chance {text}{'/s' if text.endswith('%') else ' /s'}` for so much a second",
         )  # fmt: skip
     else:
-        mismatch(scope.report, node.operand, found.type, PER_SECOND, "`chance`")
+        mismatch(scope.report, node.operand, expr.type, PER_SECOND, "`chance`")
     return bad(node.span)
 
 
-def _bounded_chance(scope: Scope, node: nodes.Unary, found: Expr) -> None:
-    known = constant_behind(found)
+def _bounded_chance(scope: Scope, node: nodes.Unary, expr: Expr) -> None:
+    known = constant_behind(expr)
     if known is None:
         return
     if known.number < 0:
         scope.report.error(
             "out-of-range", f"a chance below 0: {quoted(node.operand.span)}", node.operand.span, "write a chance of 0 or more"
         )
-    elif known.type == NUMBER and known.number > 1 and scope.once:
+    elif known.type == NUMBER and known.number > 1 and scope.runs_once:
         scope.report.error(
             "out-of-range", f"a chance above 100 %: {quoted(node.operand.span)}", node.operand.span, "write at most `100 %`"
         )
@@ -190,10 +190,10 @@ def draw_site(scope: Scope, word: str, span: Span) -> str:
 
 def count(scope: Scope, node: nodes.Expr, who: str) -> Expr:
     """A whole number that is known before anything runs."""
-    found = value(scope, node)
-    if found.type.kind is Kind.BAD or (scope.generic and found.type == NUMBER):
-        return found
-    known = constant_behind(found)
+    expr = value(scope, node)
+    if expr.type.kind is Kind.BAD or (scope.generic and expr.type == NUMBER):
+        return expr
+    known = constant_behind(expr)
     if known is not None and known.type == NUMBER and 1 <= known.number <= 64 and known.number == int(known.number):
         return Const(NUMBER, Rate.CONST, node.span, known.number)
     scope.report.error(
@@ -301,9 +301,9 @@ def _sum(scope: Scope, node: nodes.Binary, left: Expr, right: Expr) -> Expr:
 
 def _operands(scope: Scope, node: nodes.Binary, left: Expr, right: Expr) -> bool:
     """Whether both are numbers or vectors; complains about the first that is not."""
-    for part, found in ((node.left, left), (node.right, right)):
-        if found.type.kind not in (Kind.NUMBER, Kind.VECTOR):
-            mismatch(scope.report, part, found.type, NUMBER, f"`{node.op}`")
+    for part, expr in ((node.left, left), (node.right, right)):
+        if expr.type.kind not in (Kind.NUMBER, Kind.VECTOR):
+            mismatch(scope.report, part, expr.type, NUMBER, f"`{node.op}`")
             return False
     return True
 

@@ -6,7 +6,7 @@ from antdsl.program.model import Attribute, AttributeDecl, Binding, Expr, Kind, 
 from antdsl.program.names.scope import Scope, bad
 from antdsl.program.types.descriptions import fits, mismatch, quoted, type_words
 from antdsl.program.types.folding import constant_behind
-from antdsl.program.types.sets import for_each, whole
+from antdsl.program.types.sets import complete_set, for_each
 from antdsl.syntax import nodes
 
 
@@ -18,9 +18,9 @@ def index_of(scope: Scope, node: nodes.Index, want: Type | None) -> Expr:
         name = owner.name.text
         scope.use("attribute", f"{species.name}.{name}")
         scope.bind(owner.span, "own", species.name, name)
-        wanted = Type(Kind.AGENT, of=species.each[name])
-        if not fits(index.type, wanted):
-            mismatch(scope.report, node.index, index.type, wanted, f"`{name}[…]`")
+        expected = Type(Kind.AGENT, of=species.each[name])
+        if not fits(index.type, expected):
+            mismatch(scope.report, node.index, index.type, expected, f"`{name}[…]`")
         return Attribute(species.attributes[name], max(index.rate, Rate.AGENT), node.span, index, name)
     if scope.typed(owner).type.kind is Kind.BAD:
         return bad(node.span)
@@ -76,7 +76,7 @@ def each_of(scope: Scope, node: nodes.IndexAll) -> tuple[Attribute, SetOf, Bindi
     error."""
     over = scope.typed(node.over)
     if over.type.kind in (Kind.SPECIES, Kind.ITEMS):
-        over = whole(over)
+        over = complete_set(over)
     if not isinstance(over, SetOf):
         if over.type.kind is not Kind.BAD:
             scope.report.error(

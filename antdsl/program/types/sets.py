@@ -12,36 +12,40 @@ from antdsl.program.traverse import bindings_in
 from antdsl.program.types.arguments import Slot, arranged, nearest_of, one_of, type_all
 from antdsl.program.types.descriptions import mismatch, quoted, type_words
 from antdsl.program.types.folding import constant_behind
-from antdsl.program.types.operators import condition, count, value, wanted
+from antdsl.program.types.operators import condition, count, value, value_of_type
 from antdsl.syntax import nodes
 
 _THINGS = (Kind.ITEMS, Kind.SPECIES)
 
 
 def _arguments(scope: Scope, node: nodes.Call, name: str, row: Builtin) -> dict[str, list[nodes.Argument]] | None:
-    found = arranged(scope, name, [Slot(a.name, a.default is None and not a.optional, a.variadic) for a in row.args], node)
-    if found is None:
+    arguments_by_slot = arranged(
+        scope, name, [Slot(a.name, a.default is None and not a.optional, a.variadic) for a in row.args], node
+    )
+    if arguments_by_slot is None:
         type_all(scope, node)
-    return found
+    return arguments_by_slot
 
 
-def _plain(scope: Scope, called: str, arg: Arg, found: dict[str, list[nodes.Argument]], node: nodes.Call) -> Expr | None:
+def _plain(
+    scope: Scope, called: str, arg: Arg, arguments_by_slot: dict[str, list[nodes.Argument]], node: nodes.Call
+) -> Expr | None:
     """An argument that is a value, or its default, or None."""
-    written = found.get(arg.name)
+    written = arguments_by_slot.get(arg.name)
     if written is None:
         return default_of(scope, arg.default, node.span)[0] if arg.default else None
-    return wanted(scope, written[0].value, type_from_words(arg.type) or NUMBER, f"`{arg.name}` of `{called}`")
+    return value_of_type(scope, written[0].value, type_from_words(arg.type) or NUMBER, f"`{arg.name}` of `{called}`")
 
 
 def _things(scope: Scope, called: str, node: nodes.Expr, kinds: tuple[Kind, ...]) -> Expr | None:
-    found = scope.typed(node)
-    if found.type.kind in kinds:
-        return found
-    if found.type.kind is not Kind.BAD:
+    expr = scope.typed(node)
+    if expr.type.kind in kinds:
+        return expr
+    if expr.type.kind is not Kind.BAD:
         names = "items or a species" if kinds == _THINGS else "a species"
         scope.report.error(
             "wrong-kind",
-            f"`{called}` looks for {names}, and {quoted(node.span)} is {type_words(found.type)}",
+            f"`{called}` looks for {names}, and {quoted(node.span)} is {type_words(expr.type)}",
             node.span,
             f"write a name of {names}",
         )
@@ -54,13 +58,13 @@ def element_of(type: Type, name: str, node: nodes.Expr | nodes.Name) -> Binding:
 
 def neighbours(scope: Scope, node: nodes.Call, name: str, row: Builtin) -> Expr:
     """Type `neighbours(radius, fov, of:)`: others of the agent's species, or of another."""
-    found = _arguments(scope, node, name, row)
-    if found is None:
+    arguments_by_slot = _arguments(scope, node, name, row)
+    if arguments_by_slot is None:
         return bad(node.span)
-    radius, fov = (_plain(scope, name, arg, found, node) for arg in row.args[:2])
+    radius, fov = (_plain(scope, name, arg, arguments_by_slot, node) for arg in row.args[:2])
     of = scope.species.name if scope.species else None
-    if "of" in found:
-        species = _things(scope, name, found["of"][0].value, (Kind.SPECIES,))
+    if "of" in arguments_by_slot:
+        species = _things(scope, name, arguments_by_slot["of"][0].value, (Kind.SPECIES,))
         if species is None:
             return bad(node.span)
         of = species.type.of
@@ -68,7 +72,7 @@ def neighbours(scope: Scope, node: nodes.Call, name: str, row: Builtin) -> Expr:
         scope.report.error("wrong-argument", "`neighbours` without a species", node.span, "write `of: forager`")
         return bad(node.span)
     _check_reach(scope, radius, node)
-    most = _most(scope, name, row, found, node)
+    most = _most(scope, name, row, arguments_by_slot, node)
     element = element_of(Type(Kind.AGENT, Dim(), of), "it", node)
     return SetOf(Type(Kind.SET, Dim(), of), Rate.AGENT, node.span, "neighbours", of or "", (radius, fov, most), element, None)
 
@@ -84,36 +88,38 @@ def _check_reach(scope: Scope, radius: Expr | None, node: nodes.Call) -> None:
         )
 
 
-def _most(scope: Scope, called: str, row: Builtin, found: dict[str, list[nodes.Argument]], node: nodes.Call) -> Expr | None:
+def _most(
+    scope: Scope, called: str, row: Builtin, arguments_by_slot: dict[str, list[nodes.Argument]], node: nodes.Call
+) -> Expr | None:
     """Return how many of the nearest elements of a set count at most. A known value must be whole and at least 1."""
     arg = next((arg for arg in row.args if arg.name == "most"), None)
-    most = _plain(scope, called, arg, found, node) if arg is not None else None
+    most = _plain(scope, called, arg, arguments_by_slot, node) if arg is not None else None
     known = constant_behind(most) if most is not None else None
     if known is not None and (known.number < 1 or known.number != int(known.number)):
         scope.report.error(
-            "out-of-range", f"`most` of `{called}` is how many count, not {quoted(found['most'][0].value.span)}",
-            found["most"][0].value.span, "write a whole number, 1 or more: `most: 3`",
+            "out-of-range", f"`most` of `{called}` is how many count, not {quoted(arguments_by_slot['most'][0].value.span)}",
+            arguments_by_slot["most"][0].value.span, "write a whole number, 1 or more: `most: 3`",
         )  # fmt: skip
     return most
 
 
 def every(scope: Scope, node: nodes.Call, name: str, row: Builtin) -> Expr:
     """`all(X, within:, with:)`."""
-    found = _arguments(scope, node, name, row)
-    things = _things(scope, name, found["of"][0].value, _THINGS) if found else None
-    if found is None or things is None:
+    arguments_by_slot = _arguments(scope, node, name, row)
+    things = _things(scope, name, arguments_by_slot["of"][0].value, _THINGS) if arguments_by_slot else None
+    if arguments_by_slot is None or things is None:
         return bad(node.span)
-    within = _plain(scope, name, row.args[1], found, node)
+    within = _plain(scope, name, row.args[1], arguments_by_slot, node)
     element = element_of(one_of(things.type), "it", node)
     where = None
-    if "with" in found:
-        where = condition(_within_set(scope, element).inside(element=element), found["with"][0].value, "`with`")
-    most = _most(scope, name, row, found, node)
-    made = SetOf(
+    if "with" in arguments_by_slot:
+        where = condition(_within_set(scope, element).inside(element=element), arguments_by_slot["with"][0].value, "`with`")
+    most = _most(scope, name, row, arguments_by_slot, node)
+    set_expr = SetOf(
         Type(Kind.SET, Dim(), things.type.of), Rate.AGENT, node.span, "all", things.type.of or "", (within, most), element, where
     )
-    _check_nesting(scope, made, node)
-    return made
+    _check_nesting(scope, set_expr, node)
+    return set_expr
 
 
 def _within_set(scope: Scope, element: Binding) -> Scope:
@@ -124,15 +130,15 @@ def nearest(scope: Scope, node: nodes.Call, name: str, row: Builtin) -> Expr:
     """`nearest(X, within:, with:)`, or `nearest(SET)`."""
     first = node.arguments[0].value if len(node.arguments) == 1 and isinstance(node.arguments[0], nodes.Argument) else None
     if isinstance(first, (nodes.Call, nodes.NameRef)):
-        found = scope.typed(first)
-        if isinstance(found, SetOf):
-            return _nearest_of_set(found, node)
-        if found.type.kind in _THINGS:
-            return nearest_of(found, node.span)
-        if found.type.kind is not Kind.BAD:
+        expr = scope.typed(first)
+        if isinstance(expr, SetOf):
+            return _nearest_of_set(expr, node)
+        if expr.type.kind in _THINGS:
+            return nearest_of(expr, node.span)
+        if expr.type.kind is not Kind.BAD:
             scope.report.error(
                 "wrong-kind",
-                f"`nearest` looks for items, a species or a set, and {quoted(first.span)} is {type_words(found.type)}",
+                f"`nearest` looks for items, a species or a set, and {quoted(first.span)} is {type_words(expr.type)}",
                 first.span,
                 "write `nearest(food)` or `nearest(neighbours(20 mm))`",
             )
@@ -147,19 +153,19 @@ def _nearest_of_set(over: SetOf, node: nodes.Call) -> Reduce:
 
 def feelers(scope: Scope, node: nodes.Call, name: str, row: Builtin) -> Expr:
     """`feelers(X, count, spread, reach)`: rays ahead and to either side; the hits."""
-    found = _arguments(scope, node, name, row)
-    if found is None:
+    arguments_by_slot = _arguments(scope, node, name, row)
+    if arguments_by_slot is None:
         return bad(node.span)
-    target = scope.typed(found["on"][0].value)
+    target = scope.typed(arguments_by_slot["on"][0].value)
     if target.type.kind not in (Kind.OBSTACLE, Kind.SURFACE, Kind.SOLID, Kind.BAD):
-        mismatch(scope.report, found["on"][0].value, target.type, Type(Kind.OBSTACLE), f"`on` of `{name}`")
+        mismatch(scope.report, arguments_by_slot["on"][0].value, target.type, Type(Kind.OBSTACLE), f"`on` of `{name}`")
         return bad(node.span)
     how_many = (
-        count(scope, found["count"][0].value, f"`count` of `{name}`")
-        if "count" in found
+        count(scope, arguments_by_slot["count"][0].value, f"`count` of `{name}`")
+        if "count" in arguments_by_slot
         else default_of(scope, row.args[1].default or "3", node.span)[0]
     )
-    spread, reach = (_plain(scope, name, arg, found, node) for arg in row.args[2:])
+    spread, reach = (_plain(scope, name, arg, arguments_by_slot, node) for arg in row.args[2:])
     element = element_of(Type(Kind.HIT), "it", node)
     of = target.type.of or ""
     return SetOf(Type(Kind.SET, Dim(), "hit"), Rate.AGENT, node.span, "feelers", of, (how_many, spread, reach), element, None)
@@ -179,7 +185,7 @@ def reduce(scope: Scope, node: nodes.Call, how: str) -> Expr:
     if isinstance(argument, nodes.Comprehension):
         over = scope.typed(argument.over)
         if over.type.kind in _THINGS:
-            over = whole(over)
+            over = complete_set(over)
         variable: nodes.Name | None = argument.variable
     else:
         over, variable = scope.typed(argument.value), None
@@ -206,9 +212,9 @@ def reduce(scope: Scope, node: nodes.Call, how: str) -> Expr:
     else:
         element, inner = for_each(scope, over, variable)
         body = body_of(inner, how, argument.body)
-    made = Reduce(_result(how, body, element), Rate.AGENT, node.span, how, over, element, body)
-    _check_nesting(scope, made, node)
-    return made
+    reduction = Reduce(_result(how, body, element), Rate.AGENT, node.span, how, over, element, body)
+    _check_nesting(scope, reduction, node)
+    return reduction
 
 
 def for_each(scope: Scope, over: SetOf, variable: nodes.Name) -> tuple[Binding, Scope]:
@@ -218,7 +224,7 @@ def for_each(scope: Scope, over: SetOf, variable: nodes.Name) -> tuple[Binding, 
     return element, _within_set(scope, element).inside(locals={**scope.locals, variable.text: element})
 
 
-def whole(things: Expr) -> SetOf:
+def complete_set(things: Expr) -> SetOf:
     """Return `food` as a set: all of it."""
     element = Binding("it", "element", one_of(things.type), Rate.ELEMENT, things.span)
     return SetOf(
@@ -246,11 +252,11 @@ def body_of(scope: Scope, how: str, node: nodes.Expr) -> Expr:
     """Return the body of a reduction: a bool to count, or a number (for sums also a vector)."""
     if how in ("count", "any", "every"):
         return condition(scope, node, f"`{how}`")
-    found = value(scope, node)
+    expr = value(scope, node)
     allowed = (Kind.NUMBER, Kind.VECTOR, Kind.BAD) if how in ("sum", "mean") else (Kind.NUMBER, Kind.BAD)
-    if found.type.kind in allowed:
-        return found
-    if found.type.kind is Kind.BOOL and how in ("sum", "mean"):
+    if expr.type.kind in allowed:
+        return expr
+    if expr.type.kind is Kind.BOOL and how in ("sum", "mean"):
         scope.report.error(
             "wrong-kind",
             f"`{how}` adds numbers, and {quoted(node.span)} is a yes or no",
@@ -261,8 +267,8 @@ def body_of(scope: Scope, how: str, node: nodes.Expr) -> Expr:
         mismatch(
             scope.report,
             node,
-            found.type,
-            LENGTH if how in ("min", "max", "best") and found.type.dim == LENGTH.dim else NUMBER,
+            expr.type,
+            LENGTH if how in ("min", "max", "best") and expr.type.dim == LENGTH.dim else NUMBER,
             f"`{how}`",
         )
     return bad(node.span)
@@ -276,11 +282,11 @@ def _result(how: str, body: Expr, element: Binding) -> Type:
     return element.type if how == "best" else body.type
 
 
-def _check_nesting(scope: Scope, made: Expr, node: nodes.Call) -> None:
+def _check_nesting(scope: Scope, expr: Expr, node: nodes.Call) -> None:
     """Check that a set inside a set does not depend on the outer element: neighbours of neighbours are not supported."""
     if not scope.sets:
         return
-    used = bindings_in(made)
+    used = bindings_in(expr)
     outer = next((element for element in scope.sets if element in used), None)
     if outer is not None:
         scope.report.error(

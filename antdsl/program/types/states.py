@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from antdsl.diagnostics.suggestion import nearest_name
 from antdsl.program.model import Attribute, ClipTest, Expr, Kind, Rate, StateConst, Thing, Type
-from antdsl.program.names.scope import BOOL, TIME, MachineNames, Scope, bad, did_you_mean, listed, told_before
+from antdsl.program.names.scope import BOOL, TIME, MachineNames, Scope, bad, did_you_mean, is_known_missing, listed
 from antdsl.source import Span
 from antdsl.syntax import nodes
 
@@ -59,32 +59,32 @@ def _machine_word(machine: MachineNames, owner: Expr | None, word: str, span: Sp
     return Attribute(type, rate, span, owner, f"{machine.name}.{word}")
 
 
-def state_named(scope: Scope, asked: Expr, node: nodes.Expr) -> tuple[Expr, Expr] | None:
+def state_named(scope: Scope, operand: Expr, node: nodes.Expr) -> tuple[Expr, Expr] | None:
     """Return, for `state == carry`, the compared value and the state, in the machine that has that state; None if `node` is no
     bare name."""
-    if not isinstance(node, nodes.NameRef) or not isinstance(asked, Attribute) or node.name.text in STATE_WORDS:
+    if not isinstance(node, nodes.NameRef) or not isinstance(operand, Attribute) or node.name.text in STATE_WORDS:
         return None
-    species, _, machine_name = (asked.type.of or ".").partition(".")
+    species, _, machine_name = (operand.type.of or ".").partition(".")
     machines = scope.declared.species[species].machines
-    named = "." in asked.span.text and asked.of is None  # `mood.state` says which machine; `state` alone may mean any
+    named = "." in operand.span.text and operand.of is None  # `mood.state` says which machine; `state` alone may mean any
     order = [machines[machine_name]] + ([] if named else [m for m in machines.values() if m.name != machine_name])
     for machine in order:
         index = machine.states.get(node.name.text)
         if index is not None:
             scope.bind(node.span, "state", species, machine.name, node.name.text)
-            word = asked.name.partition(".")[2]
-            return _machine_word(machine, asked.of, word, asked.span), StateConst(
+            word = operand.name.partition(".")[2]
+            return _machine_word(machine, operand.of, word, operand.span), StateConst(
                 Type(Kind.STATE, of=machine.key), Rate.CONST, node.span, machine.key, index
             )
     known = [state for machine in order for state in machine.states]
     unknown_state(scope, node.name, species, known)
-    return asked, bad(node.span)
+    return operand, bad(node.span)
 
 
 def unknown_state(scope: Scope, name: nodes.Name, species: str, known: list[str]) -> str | None:
     """Report an unknown state name. Return the state that was probably meant, to continue with."""
     meant = nearest_name(name.text, known)
-    if told_before(scope, "state", name, species):
+    if is_known_missing(scope, "state", name, species):
         return meant
     advice = did_you_mean(name.text, known, f"`{species}` has the states {listed(known)}" if known else None)
     scope.report.error("unknown-state", f"no state `{name.text}` in species `{species}`", name.span, advice)

@@ -13,7 +13,7 @@ from typing import Any
 
 from antdsl.numerics.elementwise import ELEMENTWISE, UFUNCS
 from antdsl.plan import ir
-from antdsl.plan.registers import early_loads, kept_senses, written
+from antdsl.plan.registers import cacheable_senses, early_loads, written
 from antdsl.plan.traverse import needed, operands, placed
 from antdsl.runtime.pairs import only_the_nearest
 from antdsl.runtime.world import DTYPES
@@ -90,7 +90,7 @@ class BlockCompiler:
         self.name, self._species, self._order = block, species, order
         self.uniforms: dict[ir.Node, int] = {}
         self.slots = FIRST_SLOT
-        self.lazy = frozenset(kept_senses(species)) if block != "born" else frozenset()
+        self.lazy = frozenset(cacheable_senses(species)) if block != "born" else frozenset()
         self.root = self._scope(None)
         self.buffers: dict[Any, int] = {}  # how many of each dtype
         self.changing: set[str] = set()  # registers that the block stores
@@ -150,14 +150,14 @@ class BlockCompiler:
         the push of the layer that called it."""
         if not self._layers:
             return [-1] * len(block.statements)
-        found, current = [], self._layer
+        numbers, current = [], self._layer
         for statement in reversed(block.statements):
             span = statement.span
             for number, layer in enumerate(self._layers):
                 if span is not None and span.source is layer.source and layer.start <= span.start < layer.end:
                     current = number
-            found.append(current)
-        return found[::-1]
+            numbers.append(current)
+        return numbers[::-1]
 
     # --- values --------------------------------------------------------------------------------------------------------
 
@@ -267,14 +267,14 @@ class BlockCompiler:
 # --- buffers ---------------------------------------------------------------------------------------------------------
 
 
-def _linear(scope: Scope, found: list[tuple[Instruction, bool]]) -> None:
+def _linear(scope: Scope, order: list[tuple[Instruction, bool]]) -> None:
     """List the instructions in execution order. One with an inner scope appears before that scope with False, and again after it
     with True."""
     for instruction in scope.code:
-        found.append((instruction, False))
+        order.append((instruction, False))
         if instruction.inner is not None:
-            _linear(instruction.inner, found)
-            found.append((instruction, True))
+            _linear(instruction.inner, order)
+            order.append((instruction, True))
 
 
 def bind_calls(compiler: BlockCompiler, maker: Callable[[Instruction, BlockCompiler], Make]) -> None:
@@ -284,21 +284,21 @@ def bind_calls(compiler: BlockCompiler, maker: Callable[[Instruction, BlockCompi
     order: list[tuple[Instruction, bool]] = []
     _linear(compiler.root, order)
     last: dict[int, int] = {}
-    for position, (instruction, after) in enumerate(order):
-        for slot in (instruction.result,) if after else instruction.inputs:
+    for position, (instruction, is_after) in enumerate(order):
+        for slot in (instruction.result,) if is_after else instruction.inputs:
             last[slot] = position
-    for instruction, after in reversed(order):
-        if instruction.does is Does.GATHER and not after:  # the result may be the input itself
+    for instruction, is_after in reversed(order):
+        if instruction.does is Does.GATHER and not is_after:  # the result may be the input itself
             (source,) = instruction.inputs
             last[source] = max(last[source], last.get(instruction.out, -1))
     free: dict[Any, list[int]] = {}
     held: dict[int, tuple[Any, int]] = {}
-    for position, (instruction, after) in enumerate(order):
+    for position, (instruction, is_after) in enumerate(order):
         for slot in [s for s in held if last.get(s, -1) <= position]:
             dtype, number = held.pop(slot)
             free[dtype].append(number)
         buffer = None
-        if instruction.dtype is not None and not after:
+        if instruction.dtype is not None and not is_after:
             spare = free.setdefault(instruction.dtype, [])
             if not spare:
                 spare.append(compiler.buffers.get(instruction.dtype, 0))
@@ -308,6 +308,6 @@ def bind_calls(compiler: BlockCompiler, maker: Callable[[Instruction, BlockCompi
             buffer = instruction.scope.views.setdefault((instruction.dtype, number), -1)
             if buffer == -1:
                 buffer = instruction.scope.views[instruction.dtype, number] = compiler.slot()
-        if not after:
+        if not is_after:
             make = maker(instruction, compiler)
             instruction.scope.calls.append(make(instruction.out, instruction.inputs, buffer))

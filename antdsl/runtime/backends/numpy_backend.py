@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from antdsl.numerics.elementwise import ELEMENTWISE
 from antdsl.numerics.float_environment import be_standard
 from antdsl.plan import ir
-from antdsl.plan.registers import kept_senses, places
+from antdsl.plan.registers import cacheable_senses, statement_numbers
 from antdsl.plan.traverse import needed
 from antdsl.runtime.backends import numpy_calls
 from antdsl.runtime.backends.compile import (
@@ -36,7 +36,7 @@ from antdsl.runtime.world import DTYPES, Population, World
 from antdsl.scene.setting import Setting
 
 BLOCKS = ("born", "decide", "act", "blend")
-Kept = dict[ir.Node, tuple[NDArray[np.bool_], list[NDArray[Any]]]]
+StoredSenses = dict[ir.Node, tuple[NDArray[np.bool_], list[NDArray[Any]]]]
 
 
 class NumpyBackend:
@@ -50,7 +50,7 @@ class NumpyBackend:
         self._uniforms: dict[str, list[ir.Node]] = {}
         self._constants: dict[str, dict[ir.Node, Any]] = {}
         for name, species in plan.species.items():
-            order = places(species)
+            order = statement_numbers(species)
             sets: dict[ir.Node, int] = {}
             for block in BLOCKS:
                 compiler = self._blocks[name, block] = BlockCompiler(species, block, order, sets)
@@ -65,7 +65,7 @@ class NumpyBackend:
         self._run: tuple[Setting, dict[str, np.float32]] | None = None
         self._lasting: dict[str, dict[ir.Node, Any]] = {}  # values of the run, and constants
         self._values: dict[str, dict[ir.Node, Any]] = {}
-        self._kept: dict[str, Kept] = {}
+        self._kept: dict[str, StoredSenses] = {}
         self._has: dict[str, NDArray[np.bool_]] = {}  # for all stored values, whether they are known
         self._pairs: dict[str, dict[tuple[ir.Node, int], Any]] = {}
         self._buffers: list[dict[Any, list[NDArray[Any]]]] = []
@@ -100,14 +100,14 @@ class NumpyBackend:
             if has is not None and has.shape[1] == n:
                 has.fill(False)
                 continue
-            nodes = kept_senses(population.plan)
+            nodes = cacheable_senses(population.plan)
             has = self._has[name] = np.zeros((len(nodes), n), np.bool_)
             self._kept[name] = {
-                node: (there, [np.empty(n, DTYPES[kind]) for kind in ir.TUPLES.get(node.op, (node.kind,))])
-                for there, node in zip(has, nodes, strict=True)
+                node: (mask, [np.empty(n, DTYPES[kind]) for kind in ir.TUPLES.get(node.op, (node.kind,))])
+                for mask, node in zip(has, nodes, strict=True)
             }
 
-    def told(self) -> list[str]:
+    def messages(self) -> list[str]:
         """Return an empty list: this backend runs everything as requested."""
         return []
 

@@ -235,14 +235,14 @@ def pairs(node: ir.Node, compiler: BlockCompiler, scope: Scope) -> Make:
 
     def make(out: int, inputs: tuple[int, ...], buffer: int | None) -> Run:
         def run(v: Slots) -> None:
-            kept, chunk, mine = v[PAIRS], v[root], v[rows]
-            known = kept.get((node, chunk.start)) if isinstance(chunk, slice) else None
+            stored_pairs, chunk, mine = v[PAIRS], v[root], v[rows]
+            known = stored_pairs.get((node, chunk.start)) if isinstance(chunk, slice) else None
             if known is not None:
                 v[out] = known if mine is chunk else known.of_rows(row_numbers(mine) - chunk.start)
                 return
             v[out] = sets.find(v[WORLD], v[POPULATION], node, mine, tuple(v[a] for a in inputs), v[THREADS])
             if mine is chunk and isinstance(chunk, slice) and shared.get(node, 0) > 1:
-                kept[node, chunk.start] = v[out]
+                stored_pairs[node, chunk.start] = v[out]
 
         return run
 
@@ -266,11 +266,11 @@ def pair_leaf(node: ir.Node, scope: Scope) -> Make:
 
     def make(out: int, inputs: tuple[int, ...], buffer: int | None) -> Run:
         def run(v: Slots) -> None:
-            found = v[inputs[0]]
+            pair_set = v[inputs[0]]
             if sense is None:
-                v[out] = sets.pair_leaf(found, node)
+                v[out] = sets.pair_leaf(pair_set, node)
             else:
-                v[out] = sense(v[WORLD], v[POPULATION], node, row_numbers(v[rows]).take(found.i), *[v[a] for a in inputs[1:]])
+                v[out] = sense(v[WORLD], v[POPULATION], node, row_numbers(v[rows]).take(pair_set.i), *[v[a] for a in inputs[1:]])
 
         return run
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from antdsl.plan import ir
 from antdsl.program.tables import effects
 from antdsl.runtime.backends.compile import EFFECTS, POPULATION, WORLD, Instruction, Make, Run, Scope, Slots
-from antdsl.runtime.requests import Asked, ClaimEntry, FaultEntry, GiveEntry
+from antdsl.runtime.requests import ClaimEntry, FaultEntry, GiveEntry, RequestEntry
 
 ALL = slice(None)
 
@@ -105,8 +105,8 @@ def _give(statement: ir.Give, block: str, scope: Scope) -> Make:
             else:
                 rows, amount, good = _amounts(v, scope, block, f"give {statement.own}", statement.span, v[inputs[1]])
                 item = item[good]
-            there = (item >= 0) & (item < len(v[WORLD].items[statement.items]))
-            rows, amount, item = rows[there], amount[there], item[there]
+            has_item = (item >= 0) & (item < len(v[WORLD].items[statement.items]))
+            rows, amount, item = rows[has_item], amount[has_item], item[has_item]
             had = own[rows]
             left = had - np.clip(amount, np.float32(0), np.maximum(had, np.float32(0))) + np.float32(0)  # never -0
             own[rows] = left
@@ -137,10 +137,10 @@ def _request(statement: ir.Request, block: str, scope: Scope, order: int) -> Mak
             if row.above_0 and args[0] is not None:
                 good &= args[0] > 0
             if good.all():
-                v[EFFECTS].ask(Asked(statement, order, rows.copy(), tuple(args)))
+                v[EFFECTS].ask(RequestEntry(statement, order, rows.copy(), tuple(args)))
             else:
-                kept = tuple(None if arg is None else arg[good] for arg in args)
-                v[EFFECTS].ask(Asked(statement, order, rows[good], kept))
+                finite_args = tuple(None if arg is None else arg[good] for arg in args)
+                v[EFFECTS].ask(RequestEntry(statement, order, rows[good], finite_args))
 
         return run
 

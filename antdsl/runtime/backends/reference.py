@@ -17,10 +17,10 @@ from antdsl import limits
 from antdsl.numerics import exact_sums
 from antdsl.numerics.elementwise import ELEMENTWISE
 from antdsl.plan import ir
-from antdsl.plan.registers import early_loads, places
+from antdsl.plan.registers import early_loads, statement_numbers
 from antdsl.plan.traverse import needed
 from antdsl.program.tables.effects import EFFECTS
-from antdsl.runtime.requests import Asked, ClaimEntry, Effects, FaultEntry, GiveEntry
+from antdsl.runtime.requests import ClaimEntry, Effects, FaultEntry, GiveEntry, RequestEntry
 from antdsl.runtime.sensing import SENSES, uniform_leaf
 from antdsl.runtime.world import AXES, Population, World
 from antdsl.source import Span
@@ -33,12 +33,12 @@ class ReferenceBackend:
     """The same doors as the NumPy backend."""
 
     def __init__(self, plan: ir.Plan) -> None:
-        self._orders = {name: places(species) for name, species in plan.species.items()}
+        self._orders = {name: statement_numbers(species) for name, species in plan.species.items()}
 
     def begin(self, world: World) -> None:
         """Do nothing: no data is cached from step to step."""
 
-    def told(self) -> list[str]:
+    def messages(self) -> list[str]:
         """Return an empty list: this backend runs everything as requested."""
         return []
 
@@ -139,7 +139,7 @@ class Agent:
         if row.above_0 and not (values[0] or 0) > 0:
             return
         args = tuple(None if value is None else np.array([value]) for value in values)
-        self.effects.ask(Asked(s, self.order[s], self.rows, args))
+        self.effects.ask(RequestEntry(s, self.order[s], self.rows, args))
 
     # --- values --------------------------------------------------------------------------------------------------------
 
@@ -173,27 +173,27 @@ class Agent:
         return self._sense(node, [self.values[a] for a in node.args])
 
     def _sense(self, node: ir.Node, args: list[Any]) -> Any:
-        found = SENSES[node.op](self.world, self.population, node, self.rows, *[np.array([a]) for a in args])
-        return tuple(part[0] for part in found) if isinstance(found, tuple) else found[0]
+        results = SENSES[node.op](self.world, self.population, node, self.rows, *[np.array([a]) for a in args])
+        return tuple(part[0] for part in results) if isinstance(results, tuple) else results[0]
 
     # --- sets ----------------------------------------------------------------------------------------------------------
 
     def _reduce(self, node: ir.Node) -> Any:
         chosen, *parts = node.args
         members = self._members(chosen)
-        found: list[tuple[Member, Any]] = []
+        matches: list[tuple[Member, Any]] = []
         for member in members:
-            seen = self._pair(chosen, member, parts)
-            if seen[0]:
-                found.append((member, seen[1] if len(seen) > 1 else None))
-        return _REDUCE[node.op](self, node, chosen, found)
+            pair_values = self._pair(chosen, member, parts)
+            if pair_values[0]:
+                matches.append((member, pair_values[1] if len(pair_values) > 1 else None))
+        return _REDUCE[node.op](self, node, chosen, matches)
 
     def _members(self, node: ir.Node) -> list[Member]:
         own = [self.population.start[f"position.{axis}"][self.row] for axis in AXES]
         args = [self.values[a] for a in node.args]
         if node.op == "set.items":
             items = self.world.items[node.attrs[0]]
-            measured = _measure([items.seen[axis] for axis in AXES], own)
+            measured = _measure([items.visible_values[axis] for axis in AXES], own)
             return [m for m in measured if m[4] <= args[0]]
         other = self.world.populations[node.attrs[0]]
         measured = _measure([other.start[f"position.{axis}"] for axis in AXES], own)
@@ -211,16 +211,16 @@ class Agent:
 
     def _pair(self, chosen: ir.Node, member: Member, roots: list[ir.Node]) -> list[Any]:
         """Values of some nodes for one other."""
-        seen: dict[ir.Node, Any] = {}
+        pair_values: dict[ir.Node, Any] = {}
         for node in _pair_nodes(tuple(roots)):
-            args = [seen[a] if a in seen else self.values[a] for a in node.args]
+            args = [pair_values[a] if a in pair_values else self.values[a] for a in node.args]
             if node.op in ELEMENTWISE:
-                seen[node] = ELEMENTWISE[node.op](*args)
+                pair_values[node] = ELEMENTWISE[node.op](*args)
             elif node.op in SENSES:
-                seen[node] = self._sense(node, args)
+                pair_values[node] = self._sense(node, args)
             else:
-                seen[node] = self._of_other(chosen, member, node)
-        return [seen[n] if n in seen else self.values[n] for n in roots]
+                pair_values[node] = self._of_other(chosen, member, node)
+        return [pair_values[n] if n in pair_values else self.values[n] for n in roots]
 
     def _of_other(self, chosen: ir.Node, member: Member, node: ir.Node) -> Any:
         row, dx, dy, dz, distance = member
@@ -228,7 +228,7 @@ class Agent:
         if node.op in named:
             return named[node.op]
         if chosen.op == "set.items":
-            return self.world.items[chosen.attrs[0]].seen[node.attrs[0]][row]
+            return self.world.items[chosen.attrs[0]].visible_values[node.attrs[0]][row]
         other = self.world.populations[chosen.attrs[0]]
         return other.ids[row] if node.op == "other.id" else other.start[node.attrs[0]][row]
 
@@ -250,62 +250,62 @@ def _pair_nodes(roots: tuple[ir.Node, ...]) -> tuple[ir.Node, ...]:
 @cache
 def _operands(node: ir.Node) -> tuple[ir.Node, ...]:
     """Return the agent's values that a node needs, through sets and their bodies down to the agent's own values."""
-    found: list[ir.Node] = []
+    operands: list[ir.Node] = []
     pending = list(node.args)
     while pending:
         top = pending.pop()
         if top.rate == ir.Rate.PAIR or top.kind is ir.Kind.SET:
             pending.extend(top.args)
         else:
-            found.append(top)
-    return tuple(dict.fromkeys(found))
+            operands.append(top)
+    return tuple(dict.fromkeys(operands))
 
 
-def _measure(places: list[Any], own: list[Any]) -> list[Member]:
+def _measure(positions: list[Any], own: list[Any]) -> list[Member]:
     """Return the row, offset and distance of every agent from one position."""
-    dx, dy, dz = (theirs - mine for theirs, mine in zip(places, own, strict=True))
+    dx, dy, dz = (theirs - mine for theirs, mine in zip(positions, own, strict=True))
     distance = np.sqrt((dx * dx + dy * dy) + dz * dz)
     return [(k, dx[k], dy[k], dz[k], distance[k]) for k in range(len(distance))]
 
 
-Found = list[tuple[Member, Any]]
+Matches = list[tuple[Member, Any]]
 _INF = np.float32(np.inf)
 
 
-def _sum(agent: Agent, node: ir.Node, chosen: ir.Node, found: Found) -> Any:
+def _sum(agent: Agent, node: ir.Node, chosen: ir.Node, matches: Matches) -> Any:
     quantum = int(node.attrs[0])
-    terms = [float(exact_sums.rounded(body, quantum)) for _, body in found]
+    terms = [float(exact_sums.rounded(body, quantum)) for _, body in matches]
     if any(term != term for term in terms):
         return np.float32(np.nan)
     return np.float32(ldexp(sum(int(ldexp(term, -quantum)) for term in terms), quantum))  # whole numbers of the quantum
 
 
-def _min(agent: Agent, node: ir.Node, chosen: ir.Node, found: Found) -> Any:
+def _min(agent: Agent, node: ir.Node, chosen: ir.Node, matches: Matches) -> Any:
     least = _INF
-    for _, body in found:
+    for _, body in matches:
         least = body if body < least else least
     return least + np.float32(0)
 
 
-def _max(agent: Agent, node: ir.Node, chosen: ir.Node, found: Found) -> Any:
+def _max(agent: Agent, node: ir.Node, chosen: ir.Node, matches: Matches) -> Any:
     greatest = -_INF
-    for _, body in found:
+    for _, body in matches:
         greatest = body if body > greatest else greatest
     return greatest + np.float32(0)
 
 
-def _best(agent: Agent, chosen: ir.Node, found: Found) -> int:
-    sound = [(body, agent.label(chosen, member)) for member, body in found if body == body]
+def _best(agent: Agent, chosen: ir.Node, matches: Matches) -> int:
+    sound = [(body, agent.label(chosen, member)) for member, body in matches if body == body]
     return min(sound)[1] if sound else -1
 
 
-def _nth(agent: Agent, node: ir.Node, chosen: ir.Node, found: Found) -> int:
+def _nth(agent: Agent, node: ir.Node, chosen: ir.Node, matches: Matches) -> int:
     number = np.floor(agent.values[node.args[3]])
-    sound = sorted((body, agent.label(chosen, member)) for member, body in found if body == body)
+    sound = sorted((body, agent.label(chosen, member)) for member, body in matches if body == body)
     return sound[int(number) - 1][1] if 1 <= number <= len(sound) else -1
 
 
-_REDUCE: dict[str, Callable[[Agent, ir.Node, ir.Node, Found], Any]] = {
+_REDUCE: dict[str, Callable[[Agent, ir.Node, ir.Node, Matches], Any]] = {
     "reduce.sum": _sum,
     "reduce.min": _min,
     "reduce.max": _max,
@@ -330,7 +330,7 @@ def operands_of(
     for name, register in population.plan.registers.items():
         if register.role == "temp":
             now[name][0] = register.zero
-    agent = Agent(world, population, row, now, 0, Effects(), places(population.plan))
+    agent = Agent(world, population, row, now, 0, Effects(), statement_numbers(population.plan))
 
     def watch(register: str, where: Span | None, node: ir.Node) -> None:
         if agent.block == block and register == what and where == span:
@@ -373,7 +373,7 @@ def _culprit(agent: Agent, node: ir.Node) -> tuple[tuple[str, str], ...]:
         if not worse:
             break
         node = worse[0]
-    shown = {a.span.text: agent.values.get(a) for a in node.args if a.span and a.kind is not ir.Kind.SET and a.op != "const"}
+    operands = {a.span.text: agent.values.get(a) for a in node.args if a.span and a.kind is not ir.Kind.SET and a.op != "const"}
     place = node.span.text if node.span else node.op
-    told = [(place, agent.values.get(node))] + [(text, value) for text, value in shown.items() if text != place]
-    return tuple((text, f"{float(value):g}") for text, value in told if value is not None and not isinstance(value, tuple))
+    entries = [(place, agent.values.get(node))] + [(text, value) for text, value in operands.items() if text != place]
+    return tuple((text, f"{float(value):g}") for text, value in entries if value is not None and not isinstance(value, tuple))

@@ -38,9 +38,9 @@ def bind_fields(
             surfaces = [(m.vertices, m.faces) for name in plan.surfaces if (m := meshes.get(name)) is not None]
             try:
                 kind = GrowingCells if any(name in world.solids for name in plan.surfaces) else SurfaceCells
-                made = partial(kind, surfaces, size)
-                keep_all = built.once_deep if kind is GrowingCells else built.once
-                cells[key] = keep_all(kind.__name__, (surfaces, size), made)
+                make_cells = partial(kind, surfaces, size)
+                keep_all = built.get_or_make_deep if kind is GrowingCells else built.get_or_make
+                cells[key] = keep_all(kind.__name__, (surfaces, size), make_cells)
             except FieldTooFine as why:
                 row = " in a row" if why.in_a_row else ""
                 words = f"about {why.needed:,} cells of {size:g} mm{row}; {why.cap:,} are allowed"

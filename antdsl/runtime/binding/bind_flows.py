@@ -41,11 +41,11 @@ def bind_flows(world: World, report: Report, built: Built) -> None:
         if isinstance(flow, SolvedFlow) or world.solids or setting.moves:
             bind_flow(world, name, flow, report)
             continue
-        made = built.once("flow", (land, flow), partial(_bound, world, name, flow))
-        if made is None:
+        bound_flow = built.get_or_make("flow", (land, flow), partial(_bound, world, name, flow))
+        if bound_flow is None:
             bind_flow(world, name, flow, report)  # complains
         else:
-            world.flows[name] = copy(made)
+            world.flows[name] = copy(bound_flow)
 
 
 def _bound(world: World, name: str, flow: FlowData) -> Flow | None:
@@ -56,9 +56,9 @@ def _bound(world: World, name: str, flow: FlowData) -> Flow | None:
 def bind_flow(world: World, name: str, flow: FlowData, report: Report) -> None:
     """Bind one flow, under its name in the world; errors go into the report."""
     try:
-        world.flows[name] = made = _made(world, flow)
+        world.flows[name] = bound_flow = _make_flow(world, flow)
         if not isinstance(flow, Painted) and _may_change(world, flow):
-            made.renew = lambda now: _renew(now, made, flow)
+            bound_flow.renew = lambda now: _renew(now, bound_flow, flow)
     except LatticeTooFine as why:
         report.error(
             "flow-too-fine",
@@ -68,7 +68,7 @@ def bind_flow(world: World, name: str, flow: FlowData, report: Report) -> None:
         )
 
 
-def _made(world: World, flow: FlowData) -> Flow:
+def _make_flow(world: World, flow: FlowData) -> Flow:
     if isinstance(flow, Painted):
         return _painted(world, flow)
     if isinstance(flow, SpreadFlow):
@@ -87,16 +87,16 @@ def _may_change(world: World, flow: SpreadFlow | BorderFlow | SolvedFlow) -> boo
     return bool(moving) or dug or (not isinstance(flow, BorderFlow) and flow.target.of in {**moves.items, **moves.curves})
 
 
-def _renew(world: World, made: Flow, flow: SpreadFlow | BorderFlow | SolvedFlow) -> None:
+def _renew(world: World, bound_flow: Flow, flow: SpreadFlow | BorderFlow | SolvedFlow) -> None:
     """Replace a flow's values by its current ones."""
     if isinstance(flow, SolvedFlow):
-        assert isinstance(made, Solved) and made.grounds is not None
-        made.grounds = _grounds(world, made.lattice, made.grounds.faces, made.grounds.point)
-        made.cost = _cost(world, flow, made.grounds)
-        made.start, made.first, made.gap = _goal(world, flow, made.grounds)
+        assert isinstance(bound_flow, Solved) and bound_flow.grounds is not None
+        bound_flow.grounds = _grounds(world, bound_flow.lattice, bound_flow.grounds.faces, bound_flow.grounds.point)
+        bound_flow.cost = _cost(world, flow, bound_flow.grounds)
+        bound_flow.start, bound_flow.first, bound_flow.gap = _goal(world, flow, bound_flow.grounds)
         return
-    now = _made(world, flow)
-    made.lattice, made.c, made.s, made.source = now.lattice, now.c, now.s, now.source
+    now = _make_flow(world, flow)
+    bound_flow.lattice, bound_flow.c, bound_flow.s, bound_flow.source = now.lattice, now.c, now.s, now.source
 
 
 def _meshes(world: World) -> Meshes:
@@ -114,11 +114,11 @@ def _corners(world: World, painted: Painted) -> Floats:
     _, faces, mesh, _ = _meshes(world).triangles
     own = np.flatnonzero(mesh == world.surface_index[painted.surface])
     values = painted.values.reshape(len(painted.values), -1)
-    found = np.zeros((3, len(faces), values.shape[1]))
+    corner_values = np.zeros((3, len(faces), values.shape[1]))
     local = world.setting.surfaces[painted.surface].faces
     for k in range(3):
-        found[k, own] = values if painted.of_faces else values[local[:, k]]
-    return found
+        corner_values[k, own] = values if painted.of_faces else values[local[:, k]]
+    return corner_values
 
 
 def _painted(world: World, painted: Painted) -> Flow:
@@ -135,8 +135,8 @@ def _painted(world: World, painted: Painted) -> Flow:
 def _chosen(world: World, on: tuple[str, ...]) -> Flags:
     """Return the faces of the flow's surfaces, without faces of area 0."""
     _, _, mesh, table = _meshes(world).triangles
-    wanted = [world.surface_index[name] for name in on] or list(world.surface_index.values())
-    chosen: Flags = table.live & np.isin(mesh, wanted)
+    mesh_numbers = [world.surface_index[name] for name in on] or list(world.surface_index.values())
+    chosen: Flags = table.live & np.isin(mesh, mesh_numbers)
     return chosen
 
 
@@ -153,7 +153,7 @@ def _lattice(world: World, chosen: Flags, flow: SpreadFlow | BorderFlow | Solved
     return Lattice.of(flow_cuts(flow, np.where(chosen, _lengths(world)[0], 0.0), _meshes(world).extent))
 
 
-def _places(world: World, lattice: Lattice) -> tuple[Index, Floats]:
+def _locate_slots(world: World, lattice: Lattice) -> tuple[Index, Floats]:
     """The face and the place (n, 3) of each slot."""
     table = _meshes(world).triangles[3]
     face = lattice.faces()
@@ -168,21 +168,21 @@ def _flow(world: World, lattice: Lattice, face: Index, vectors: Floats, chosen: 
     return Flow(lattice, c * chosen[face], s * chosen[face], source)
 
 
-def _here(world: World, target: Target) -> Target:
+def _locate_target(world: World, target: Target) -> Target:
     """Return a target at the world's frame, relative to the world's origin."""
     moves = world.setting.moves
     tracks = (moves.curves if target.line else moves.items).get(target.of)
-    places = target.places if tracks is None else moves.points(tracks, world.frame)
+    positions = target.positions if tracks is None else moves.points(tracks, world.frame)
     if tracks is not None and target.which is not None:
-        places = places[target.which : target.which + 1]
-    return Target(places - world.origin, target.radii, target.line)
+        positions = positions[target.which : target.which + 1]
+    return Target(positions - world.origin, target.radii, target.line)
 
 
 # --- about a target, and at borders ----------------------------------------------------------------------------------
 
 
 def _spread(world: World, flow: SpreadFlow) -> Flow:
-    target = _here(world, flow.target)
+    target = _locate_target(world, flow.target)
     source = spread(flow, target)
     if world.ground.meshes is None:
         return Flow(Lattice.of(np.ones(0, np.int64)), np.zeros(0), np.zeros(0), source)
@@ -191,10 +191,10 @@ def _spread(world: World, flow: SpreadFlow) -> Flow:
         longest, middle = _lengths(world)
         near = chosen & (nearest(target, middle)[0] <= flow.radius + longest)
     lattice = _lattice(world, near, flow)
-    face, place = _places(world, lattice)
+    face, place = _locate_slots(world, lattice)
     vectors = np.zeros_like(place)
-    asked = np.flatnonzero(near[face])
-    vectors[asked] = source(place[asked])
+    near_slots = np.flatnonzero(near[face])
+    vectors[near_slots] = source(place[near_slots])
     return _flow(world, lattice, face, vectors, chosen, source if not flow.on else None)
 
 
@@ -219,20 +219,20 @@ def _border(world: World, flow: BorderFlow) -> Flow:
     if len(rim):
         near &= nearest(target, middle)[0] <= flow.within + longest
     lattice = _lattice(world, near, flow)
-    face, place = _places(world, lattice)
+    face, place = _locate_slots(world, lattice)
     vectors = np.zeros_like(place)
-    asked = np.flatnonzero(near[face]) if len(rim) else np.empty(0, np.int64)
-    if len(asked):
+    near_slots = np.flatnonzero(near[face]) if len(rim) else np.empty(0, np.int64)
+    if len(near_slots):
         from scipy.spatial import cKDTree
 
-        sample = cKDTree(rim).query(place[asked])[1]
+        sample = cKDTree(rim).query(place[near_slots])[1]
         line = which[sample]
-        along = ((place[asked] - one[line]) * edge[line]).sum(axis=1) / np.maximum(length[line], 1e-12) ** 2
-        way = place[asked] - (one[line] + np.clip(along, 0.0, 1.0)[:, None] * edge[line])
-        distance = np.sqrt((way * way).sum(axis=1))
-        way += 0.5 * cell * inward[line]
-        way /= np.maximum(np.sqrt((way * way).sum(axis=1)), 1e-12)[:, None]
-        vectors[asked] = way * (falling(distance, flow.within, flow.falloff) * flow.strength)[:, None]
+        along = ((place[near_slots] - one[line]) * edge[line]).sum(axis=1) / np.maximum(length[line], 1e-12) ** 2
+        direction = place[near_slots] - (one[line] + np.clip(along, 0.0, 1.0)[:, None] * edge[line])
+        distance = np.sqrt((direction * direction).sum(axis=1))
+        direction += 0.5 * cell * inward[line]
+        direction /= np.maximum(np.sqrt((direction * direction).sum(axis=1)), 1e-12)[:, None]
+        vectors[near_slots] = direction * (falling(distance, flow.within, flow.falloff) * flow.strength)[:, None]
     return _flow(world, lattice, face, vectors, chosen)
 
 
@@ -252,18 +252,18 @@ def _solved(world: World, flow: SolvedFlow) -> Flow:
         """Return whether a new solution is due and there is something to compute."""
         if (now.frame - now.setting.first_frame) % every:
             return False
-        before, looked[0] = looked[0], _left(now)
-        return changes or looked[0] != before
+        previous_state, looked[0] = looked[0], _left(now)
+        return changes or looked[0] != previous_state
 
-    made = Solved(
+    solved_flow = Solved(
         lattice, np.zeros(0), np.zeros(0), None,
         grounds=grounds, cost=_cost(world, flow, grounds), start=start, first=first, gap=gap, strength=flow.strength,
         crowding=flow.crowding, every=every, due=due,
         crowd=np.zeros(len(grounds.land.points), np.int64) if flow.crowding else None,
         stores_reached=any(node.op == "flow.reachable" for node in world.plan.nodes),
     )  # fmt: skip
-    made.solve()
-    return made
+    solved_flow.solve()
+    return solved_flow
 
 
 def _left(world: World) -> list[int]:
@@ -275,7 +275,7 @@ def _grounds(world: World, lattice: Lattice, chosen: Flags, point: Index | None 
     """Return the lattice as land: points merged across faces (`point`, if known), triangles that no obstacle cuts and no undug
     solid buries, and links between surfaces."""
     _, _, mesh, table = _meshes(world).triangles
-    face, place = _places(world, lattice)
+    face, place = _locate_slots(world, lattice)
     if point is None:
         point = welded(place, mesh[face])[0]
     count = int(point.max(initial=-1)) + 1
@@ -318,14 +318,14 @@ def _links(points: Floats, of: NDArray[np.int32], used: Index, areas: Floats) ->
 
     surfaces = np.unique(of[used])
     reach = 2.0 * float(np.sqrt(np.median(areas))) if len(areas) else 0.0
-    found = [np.empty((0, 2), np.int64)]
+    pairs = [np.empty((0, 2), np.int64)]
     for one in surfaces:
         mine, others = used[of[used] == one], used[of[used] > one]
         if len(mine) and len(others):
             distance, nearest_one = cKDTree(points[mine]).query(points[others], distance_upper_bound=reach)
             close = np.isfinite(distance)
-            found.append(np.stack([others[close], mine[nearest_one[close]]], axis=1))
-    return np.concatenate(found)
+            pairs.append(np.stack([others[close], mine[nearest_one[close]]], axis=1))
+    return np.concatenate(pairs)
 
 
 def _goal(world: World, flow: SolvedFlow, grounds: Grounds) -> tuple[Index, Floats, float]:
@@ -337,15 +337,15 @@ def _goal(world: World, flow: SolvedFlow, grounds: Grounds) -> tuple[Index, Floa
     used = np.unique(land.triangles[land.open])
     if not len(used):
         return used, np.zeros(0), 0.0
-    target = _here(world, flow.target)
-    places, radii = target.places, target.radii
+    target = _locate_target(world, flow.target)
+    positions, radii = target.positions, target.radii
     side = float(np.sqrt(np.median(grounds.areas[land.open])))
     if target.line:
-        places = resampled(places, side)
-        radii = np.zeros(len(places))
+        positions = resampled(positions, side)
+        radii = np.zeros(len(positions))
     tree = cKDTree(land.points[used])
-    distance, away_by = np.full(len(used), np.inf), np.inf if len(places) else 0.0
-    for place, radius in zip(places, radii, strict=True):
+    distance, away_by = np.full(len(used), np.inf), np.inf if len(positions) else 0.0
+    for place, radius in zip(positions, radii, strict=True):
         gap, least = tree.query(place)
         away_by = min(away_by, max(0.0, float(gap - radius)))
         near = np.asarray(tree.query_ball_point(place, max(radius, gap + 1.5 * side)), np.int64)
@@ -365,13 +365,13 @@ def _cost(world: World, flow: SolvedFlow, grounds: Grounds) -> Floats:
     upright = np.abs((normal * world.up).sum(axis=1))
     price = 1.0 + flow.slope * np.sqrt(np.maximum(1 - upright * upright, 0.0))
     middle = land.points[land.triangles].mean(axis=1)
-    if flow.room > 0:
+    if flow.clearance > 0:
         x, y, z = middle.T.astype(np.float32)
         gap = np.full(len(middle), np.inf)
         for name in world.plan.of_kind("obstacle"):
             if name in world.obstacles:
-                gap = np.minimum(gap, world.obstacles[name].near(x, y, z, flow.room).t)
-        tight = np.clip(1 - gap / flow.room, 0.0, 1.0)
+                gap = np.minimum(gap, world.obstacles[name].near(x, y, z, flow.clearance).t)
+        tight = np.clip(1 - gap / flow.clearance, 0.0, 1.0)
         price = price + _ROOM_COST * tight * tight
     if flow.maps:
         b1, b2 = grounds.lattice.weights()

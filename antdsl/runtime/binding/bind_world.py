@@ -124,20 +124,25 @@ def _solids(setting: Setting, origin: NDArray[np.float64], built: Built) -> dict
     """Return a volume for each solid. Raises BindError if its mesh is unsuitable."""
     if not setting.solids:
         return {}
-    found: dict[str, Volume] = {}
+    volumes: dict[str, Volume] = {}
     report = Report()
     for name, solid in setting.solids.items():
         mesh = _moved(solid.mesh, origin)
-        made = built.once_deep("solid", (mesh, solid.voxel), partial(Volume.from_mesh, mesh.vertices, mesh.faces, solid.voxel))
-        if isinstance(made, Unusable):
+        volume = built.get_or_make_deep(
+            "solid", (mesh, solid.voxel), partial(Volume.from_mesh, mesh.vertices, mesh.faces, solid.voxel)
+        )
+        if isinstance(volume, Unusable):
             report.error(
-                "bad-mesh", f"the mesh of the solid `{name}` cannot be dug: {made.message}", setting.spans.get(name), made.help
+                "bad-mesh",
+                f"the mesh of the solid `{name}` cannot be dug: {volume.message}",
+                setting.spans.get(name),
+                volume.help,
             )
         else:
-            found[name] = made
+            volumes[name] = volume
     if not report.ok:
         raise BindError(report)
-    return found
+    return volumes
 
 
 def _ground(
@@ -161,40 +166,40 @@ def _meshes(meshes: dict[str, MeshData], moving: Iterable[str], by_rays: bool, b
     surfaces = {name: (mesh.vertices, mesh.faces) for name, mesh in meshes.items()}
     moved = [name for name in moving if name in surfaces]
     if moved:
-        made = partial(MovingGround, surfaces, moved, by_rays)
-        return built.once("moving ground", (surfaces, moved, by_rays), made, copied=MovingGround.copy)
+        make_ground = partial(MovingGround, surfaces, moved, by_rays)
+        return built.get_or_make("moving ground", (surfaces, moved, by_rays), make_ground, copied=MovingGround.copy)
     if not surfaces:
         return None
-    return built.once("ground", (surfaces, by_rays), partial(MeshGround, surfaces, by_rays))
+    return built.get_or_make("ground", (surfaces, by_rays), partial(MeshGround, surfaces, by_rays))
 
 
 def _scenes(meshes: dict[str, MeshData], solids: dict[str, Volume], built: Built) -> dict[str, Obstacle]:
     """Return the targets of raycasts: meshes, and solids in their current state."""
     if not meshes and not solids:
         return {}
-    found: dict[str, Obstacle] = {
-        name: built.once("rays", mesh, partial(RayScene, mesh.vertices, mesh.faces)) for name, mesh in meshes.items()
+    scenes: dict[str, Obstacle] = {
+        name: built.get_or_make("rays", mesh, partial(RayScene, mesh.vertices, mesh.faces)) for name, mesh in meshes.items()
     }
-    return found | {name: SolidFeelers(volume) for name, volume in solids.items()}
+    return scenes | {name: SolidFeelers(volume) for name, volume in solids.items()}
 
 
 def _items(setting: Setting, plan: ir.ItemsPlan, origin: NDArray[np.float64]) -> Items:
-    found = setting.items.get(plan.name, ())
-    position = np.array([item.position for item in found], np.float64).reshape(-1, 3) - origin
-    seen = {axis: position[:, k].astype(np.float32) for k, axis in enumerate(AXES)}
-    seen["radius"] = np.array([item.radius for item in found], np.float32)
+    items = setting.items.get(plan.name, ())
+    position = np.array([item.position for item in items], np.float64).reshape(-1, 3) - origin
+    visible_values = {axis: position[:, k].astype(np.float32) for k, axis in enumerate(AXES)}
+    visible_values["radius"] = np.array([item.radius for item in items], np.float32)
     amounts = {
-        name: np.array([item.attributes.get(name, default) for item in found], np.float64)
+        name: np.array([item.attributes.get(name, default) for item in items], np.float64)
         for name, default in plan.attributes.items()
     }
-    seen |= {name: amount.astype(np.float32) for name, amount in amounts.items()}
-    return Items(plan.name, tuple(item.name for item in found), position, amounts, seen)
+    visible_values |= {name: amount.astype(np.float32) for name, amount in amounts.items()}
+    return Items(plan.name, tuple(item.name for item in items), position, amounts, visible_values)
 
 
 def _params(world: World) -> None:
     for name, param in world.plan.params.items():
-        given = world.setting.params.get(name)
-        world.params[name] = np.float32(run_value(world, param.default) if given is None else given)
+        scene_value = world.setting.params.get(name)
+        world.params[name] = np.float32(run_value(world, param.default) if scene_value is None else scene_value)
 
 
 def run_value(world: World, node: ir.Node) -> float:

@@ -15,7 +15,7 @@ from antdsl.numerics.vectors import Vector
 from antdsl.plan import ir
 from antdsl.plan.traverse import placed
 from antdsl.program.tables.effects import settled_in
-from antdsl.runtime.binding.spacing import Drawn, Room, spread, takes_room
+from antdsl.runtime.binding.spacing import Drawn, Occupancy, spread, takes_room
 from antdsl.runtime.binding.start_places import COVERED, PLACEMENT_FRAME, TURN, StartPlaces
 from antdsl.runtime.faults import FaultLog
 from antdsl.runtime.lifecycle import come_alive, deaths_and_births, settle_newborn
@@ -56,19 +56,19 @@ def arrive(world: World, joining: Sequence[tuple[CrowdData, NDArray[np.int64]]])
     if not joining:
         return {}
     starts = [StartPlaces(world, crowd) for crowd, _ in joining]
-    radius = _apart(world, joining, starts, _radii(world, joining, starts))
-    room = Room(_rounding(world))
+    radius = _spacing_radii(world, joining, starts, _radii(world, joining, starts))
+    occupancy = Occupancy(_rounding(world))
     for population in world.populations.values():
-        room.begin_with(population.position, population.now["radius"].astype(np.float64))
-    found: dict[int, Drawn] = {}
+        occupancy.begin_with(population.position, population.now["radius"].astype(np.float64))
+    draws: dict[int, Drawn] = {}
     for k, (_, ids) in enumerate(joining):
         if starts[k].given:
-            found[k] = starts[k].draw(ids, range(1))
-            room.begin_with(found[k].place, radius[k])
+            draws[k] = starts[k].draw(ids, range(1))
+            occupancy.begin_with(draws[k].place, radius[k])
     first = 0
     for k, (crowd, ids) in enumerate(joining):
-        if k not in found:
-            found[k], fits = spread(room, starts[k].draw, ids, radius[k], first)
+        if k not in draws:
+            draws[k], fits = spread(occupancy, starts[k].draw, ids, radius[k], first)
             first += len(ids)
             if not fits.all():
                 wide = radius[k][takes_room(radius[k])]
@@ -79,7 +79,7 @@ def arrive(world: World, joining: Sequence[tuple[CrowdData, NDArray[np.int64]]])
                 world.crowded.append(Crowded(crowd.group, crowd.species, len(ids), fit, ends, cover, *room_for))
     rows: dict[str, list[NDArray[np.intp]]] = {}
     for k, (crowd, ids) in enumerate(joining):
-        rows.setdefault(crowd.species, []).append(_put(world, crowd, ids, found[k]))
+        rows.setdefault(crowd.species, []).append(_put(world, crowd, ids, draws[k]))
     return {name: np.concatenate(parts) for name, parts in rows.items()}
 
 
@@ -122,7 +122,7 @@ def _radii(
     return [radius[crowd.species][own] for (crowd, _), own in zip(joining, lines, strict=True)]
 
 
-def _apart(
+def _spacing_radii(
     world: World,
     joining: Sequence[tuple[CrowdData, NDArray[np.int64]]],
     starts: Sequence[StartPlaces],
@@ -130,19 +130,19 @@ def _apart(
 ) -> list[NDArray[np.float64]]:
     """Return the radii for spacing. If a line declares a distance between its agents, the radius is at least half of it. For an
     even crowd, discs of that radius cover as much of the place as random placement can fill. All lines with that place count."""
-    found = []
+    radii = []
     for (crowd, _), start, own in zip(joining, starts, radius, strict=True):
-        half = crowd.place.apart / 2
+        half = crowd.place.spacing / 2
         if np.isinf(half):
             count = sum(c.count for c in world.setting.crowds if _spot(c.place) == _spot(crowd.place))
             half = np.sqrt(COVERED * (start.area() or 0.0) / (np.pi * max(count, 1)))
-        found.append(np.maximum(own, half) if half > 0 else own)
-    return found
+        radii.append(np.maximum(own, half) if half > 0 else own)
+    return radii
 
 
 def _spot(place: PlaceData) -> tuple[object, ...]:
     """Return a key that is equal for two lines that begin evenly in one place."""
-    return place.on, place.around, place.radius, place.density, place.by_area, place.apart
+    return place.on, place.around, place.radius, place.density, place.by_area, place.spacing
 
 
 def _rounding(world: World) -> float:
@@ -164,7 +164,7 @@ def begin(world: World, joined: Mapping[str, NDArray[np.intp]]) -> None:
         settle(world, world.populations[name], rows)
     settle_newborn(world)  # while rows belong to them: an agent that dies at birth has made its requests all the same
     births = set(settled_in("births"))
-    if any(births & p.effects.asked.keys() for p in world.populations.values()):
+    if any(births & p.effects.requests.keys() for p in world.populations.values()):
         deaths_and_births(world)
         settle_newborn(world)
     for population in world.populations.values():
@@ -186,8 +186,8 @@ def give_at_birth(population: Population, rows: NDArray[np.intp], place: PlaceDa
     """Write the values at the points of a place into the registers that the block `born` reads, before it runs."""
     for name, column in place.values.items():
         if (register := ir.begun_with(name)) in population.now:
-            given = column[population.ids[rows] % len(column)]
-            population.now[register][rows] = np.where(np.isfinite(given), given, np.inf)
+            point_values = column[population.ids[rows] % len(column)]
+            population.now[register][rows] = np.where(np.isfinite(point_values), point_values, np.inf)
 
 
 def _as_points_face(world: World, population: Population, rows: NDArray[np.intp], up: Vector, drawn: Vector) -> Vector:
@@ -208,8 +208,8 @@ def _as_points_face(world: World, population: Population, rows: NDArray[np.intp]
 
 def _stand(world: World, population: Population, rows: NDArray[np.intp]) -> None:
     """Set up from the ground, and a heading drawn around it unless the scene gives one; at rest."""
-    wanted = np.stack([population.now[f"up.{axis}"] for axis in AXES], axis=1).astype(np.float64)
-    up = vec.columns(world.ground.upright(population.footing, wanted)[rows], np.float32)
+    target_up = np.stack([population.now[f"up.{axis}"] for axis in AXES], axis=1).astype(np.float64)
+    up = vec.columns(world.ground.upright(population.footing, target_up)[rows], np.float32)
     angle = _draw(world, population.name, 0, population.ids[rows]) * TURN
     side = vec.across(up)
     ahead = vec.cross(up, side)

@@ -22,19 +22,19 @@ class Built:
         self._kept: dict[str, Any] = {}
         self._asked: set[str] = set()
 
-    def once(self, what: str, of: object, make: Callable[[], T], *, copied: Callable[[T], T] | None = None) -> T:
+    def get_or_make(self, what: str, of: object, make: Callable[[], T], *, copied: Callable[[T], T] | None = None) -> T:
         """Return the result of `make`, or the cached one for an equal `of` (arrays, numbers, texts and combinations of them). An
         exception of `make` propagates, and nothing is cached."""
         key = digest((what, of))
         self._asked.add(key)
         if key not in self._kept:
             self._kept[key] = make()
-        found: T = self._kept[key]
-        return found if copied is None else copied(found)
+        product: T = self._kept[key]
+        return product if copied is None else copied(product)
 
-    def once_deep(self, what: str, of: object, make: Callable[[], T]) -> T:
+    def get_or_make_deep(self, what: str, of: object, make: Callable[[], T]) -> T:
         """Like `once`, for values that change in use: returns a deep copy."""
-        return self.once(what, of, make, copied=deepcopy)
+        return self.get_or_make(what, of, make, copied=deepcopy)
 
     def forget(self) -> None:
         """Drop entries that were not used since the last call."""

@@ -22,10 +22,10 @@ Rows = NDArray[np.intp]
 Flags = NDArray[np.bool_]
 
 # Places that are tried in each round, by the share of the batch before that found no room: 384, 128 or 4 in all.
-_SOME = (1,) * 8 + (2,) * 4 + (4,) * 4 + (8,) * 4 + (16,) * 4
-_ROUNDS = ((0.005, _SOME + (32,) * 8), (0.1, _SOME), (1.0, (1,) * 4))
+_TRIES = (1,) * 8 + (2,) * 4 + (4,) * 4 + (8,) * 4 + (16,) * 4
+_ROUNDS = ((0.005, _TRIES + (32,) * 8), (0.1, _TRIES), (1.0, (1,) * 4))
 _BATCH = 64  # agents of the first batch; of each other as many as have been before it
-_APART = 1.001  # so much farther apart than their radii reach: float32 rounds
+_GAP_FACTOR = 1.001  # so much farther apart than their radii reach: float32 rounds
 _NEAREST = 8  # smaller neighbours of the first query; each further query doubles the number until the result is certain
 _FINE = 8  # of those who may overlap already, one in so small a part of a body stands for all there
 
@@ -69,7 +69,7 @@ class _Group:
         return cKDTree(self.place)
 
 
-class Room:
+class Occupancy:
     """The occupied places, as discs. An entry has a place, a radius and its number in the start order; of two that overlap the
     later one moves. `rounding` (mm) is the precision of positions."""
 
@@ -110,7 +110,7 @@ class Room:
         chosen = [entries[classes == size] for size in np.unique(classes)]
         self._groups = [_Group(self._place[each], each, float(self._radius[each].max())) for each in chosen]
 
-    def met(self, place: Floats, radius: Floats, order: Rows | None = None) -> tuple[Rows, Rows, Floats]:
+    def find_overlaps(self, place: Floats, radius: Floats, order: Rows | None = None) -> tuple[Rows, Rows, Floats]:
         """Return pairs of given discs and entries that overlap: the numbers of both, and their distance as a share of the
         distance at contact. With the discs' `order`, only entries before them count. Thousands of smaller entries may be below
         one disc, so only the one with the most overlap counts."""
@@ -123,7 +123,7 @@ class Room:
                 if order is not None and 2 * group.widest < widest:
                     i, entry, share = self._met_most(place, radius, order, rows, group)
                 else:
-                    reach = (widest + group.widest) * _APART * 1.001 + self._rounding
+                    reach = (widest + group.widest) * _GAP_FACTOR * 1.001 + self._rounding
                     i, entry = pairs_between(place[rows], group.place, reach)
                     i, entry = rows[i], group.entries[entry]
                     share = self._share(place[i], radius[i], entry)
@@ -138,33 +138,40 @@ class Room:
 
     def _share(self, place: Floats, radius: Floats, entry: Rows) -> Floats:
         """The distance of discs and entries as a share of that at which they would touch."""
-        apart = place - self._place[entry]
-        square = apart[..., 0] * apart[..., 0] + apart[..., 1] * apart[..., 1] + apart[..., 2] * apart[..., 2]
-        share: Floats = np.sqrt(square) / ((radius + self._radius[entry]) * _APART + self._rounding)
+        displacement = place - self._place[entry]
+        square = (
+            displacement[..., 0] * displacement[..., 0]
+            + displacement[..., 1] * displacement[..., 1]
+            + displacement[..., 2] * displacement[..., 2]
+        )
+        share: Floats = np.sqrt(square) / ((radius + self._radius[entry]) * _GAP_FACTOR + self._rounding)
         return share
 
     def _met_most(self, place: Floats, radius: Floats, order: Rows, rows: Rows, group: _Group) -> tuple[Rows, Rows, Floats]:
         """Return, for each of some discs, the earlier entry of a group with the most overlap. It checks the nearest entries,
         until none farther away can overlap more."""
         entry, least = np.zeros(len(rows), np.intp), np.full(len(rows), np.inf)
-        asked, count = np.arange(len(rows)), _NEAREST
-        while asked.size:
+        pending_discs, count = np.arange(len(rows)), _NEAREST
+        while pending_discs.size:
             count = min(count, len(group.entries))
-            at, wide = place[rows[asked]], radius[rows[asked]]
+            at, wide = place[rows[pending_discs]], radius[rows[pending_discs]]
             away, near = group.tree.query(at, np.arange(1, count + 1))
             near = group.entries[near]
             share = self._share(at[:, None], wide[:, None], near)
-            share[~self._there[near] | (self._order[near] >= order[rows[asked], None])] = np.inf
+            share[~self._there[near] | (self._order[near] >= order[rows[pending_discs], None])] = np.inf
             best = share.argmin(axis=1)
-            entry[asked], least[asked] = near[np.arange(len(asked)), best], share[np.arange(len(asked)), best]
-            beyond = away[:, -1] / ((wide + group.widest) * _APART + self._rounding)
-            asked = asked[(beyond < np.minimum(least[asked], 1.0)) & (count < len(group.entries))]
+            entry[pending_discs], least[pending_discs] = (
+                near[np.arange(len(pending_discs)), best],
+                share[np.arange(len(pending_discs)), best],
+            )
+            beyond = away[:, -1] / ((wide + group.widest) * _GAP_FACTOR + self._rounding)
+            pending_discs = pending_discs[(beyond < np.minimum(least[pending_discs], 1.0)) & (count < len(group.entries))]
             count *= 2
         return rows, entry, least
 
     def free(self, place: Floats, radius: Floats, order: Rows) -> Floats:
         """Return how free the given discs are of all earlier ones (n): 1 is free, 0 is in the centre of another."""
-        i, _, share = self.met(place, radius, order)
+        i, _, share = self.find_overlaps(place, radius, order)
         least = np.ones(len(place))
         np.minimum.at(least, i, share)
         return least
@@ -172,7 +179,7 @@ class Room:
     def give_way(self, entries: Rows) -> tuple[Rows, Floats]:
         """Return the entries that must move after the given ones were added (possibly these themselves), and how free their
         places were."""
-        i, entry, share = self.met(self._place[entries], self._radius[entries])
+        i, entry, share = self.find_overlaps(self._place[entries], self._radius[entries])
         own = entries[i]
         loser = np.where(self._order[entry] < self._order[own], own, entry)
         different = self._order[entry] != self._order[own]
@@ -191,29 +198,29 @@ def takes_room(radius: NDArray[np.floating[Any]]) -> Flags:
     return wide
 
 
-def spread(room: Room, draw: Draw, ids: NDArray[np.int64], radius: Floats, first: int) -> tuple[Drawn, Flags]:
+def spread(occupancy: Occupancy, draw: Draw, ids: NDArray[np.int64], radius: Floats, first: int) -> tuple[Drawn, Flags]:
     """Return positions for agents in id order, and flags for those with a position where they touch no other. `first`: the first
     agent's number in the order of all starting agents. The others get the position where they touch earlier agents least.
 
     Agents with a free position are in the room afterwards; the others are not."""
-    found: Drawn | None = None
+    chosen: Drawn | None = None
     fits = np.zeros(len(ids), np.bool_)
     rounds: tuple[int, ...] = _ROUNDS[0][1]
     begin, size = 0, _BATCH
     while begin < len(ids):
         part = slice(begin, begin + size)
-        drawn, held = _batch(room, draw, ids[part], radius[part], first + begin, rounds)
+        drawn, held = _batch(occupancy, draw, ids[part], radius[part], first + begin, rounds)
         fits[part] = held
-        found = drawn if found is None else _joined(found, drawn)
+        chosen = drawn if chosen is None else _joined(chosen, drawn)
         failed = np.count_nonzero(~held)
         rounds = next(rounds for share, rounds in _ROUNDS if failed <= share * held.size)
         begin += size
         size = begin
-    return draw(ids, range(1)) if found is None else found, fits
+    return draw(ids, range(1)) if chosen is None else chosen, fits
 
 
 def _batch(
-    room: Room, draw: Draw, ids: NDArray[np.int64], radius: Floats, first: int, rounds: tuple[int, ...]
+    occupancy: Occupancy, draw: Draw, ids: NDArray[np.int64], radius: Floats, first: int, rounds: tuple[int, ...]
 ) -> tuple[Drawn, Flags]:
     n, wide = len(ids), takes_room(radius)
     held, best, entry_of = np.zeros(n, np.bool_), np.full(n, -2.0), np.full(n, -1, np.intp)
@@ -226,7 +233,7 @@ def _batch(
             break
         drawn = draw(ids[left], range(attempt, attempt + tries))
         attempt += tries
-        score = _score(room, drawn, np.tile(left, tries), radius, wide, order).reshape(tries, len(left))
+        score = _score(occupancy, drawn, np.tile(left, tries), radius, wide, order).reshape(tries, len(left))
         pick = score.argmax(axis=0)  # the first free one, else the freest
         score = score[pick, np.arange(len(left))]
         drawn = drawn.take(pick * len(left) + np.arange(len(left)))
@@ -240,24 +247,24 @@ def _batch(
         new = left[score >= 1]
         held[new] = True
         new = new[wide[new]]
-        kept = new[_firsts(chosen.place[new], radius[new], 1)]
-        crowded = np.setdiff1d(new, kept, assume_unique=True)
+        clear_rows = new[_firsts(chosen.place[new], radius[new], 1)]
+        crowded = np.setdiff1d(new, clear_rows, assume_unique=True)
         held[crowded], best[crowded] = False, 0.0
-        entry_of[kept] = room.add(chosen.place[kept], radius[kept], order[kept])
-        losing, share = room.give_way(entry_of[kept])
-        room.remove(losing)
-        gone = room.order(losing) - first
-        held[gone], best[gone] = False, share
-    room.settle()
+        entry_of[clear_rows] = occupancy.add(chosen.place[clear_rows], radius[clear_rows], order[clear_rows])
+        losing, share = occupancy.give_way(entry_of[clear_rows])
+        occupancy.remove(losing)
+        displaced_rows = occupancy.order(losing) - first
+        held[displaced_rows], best[displaced_rows] = False, share
+    occupancy.settle()
     assert chosen is not None
     return chosen, held
 
 
-def _score(room: Room, drawn: Drawn, rows: Rows, radius: Floats, wide: Flags, order: Rows) -> Floats:
+def _score(occupancy: Occupancy, drawn: Drawn, rows: Rows, radius: Floats, wide: Flags, order: Rows) -> Floats:
     """Return 1 for a free position, less for an occupied one, and -1 for a position where no agent may start."""
     score = np.where(drawn.good, 1.0, -1.0)
-    asked = np.flatnonzero(drawn.good & wide[rows])
-    score[asked] = room.free(drawn.place[asked], radius[rows[asked]], order[rows[asked]])
+    good_rows = np.flatnonzero(drawn.good & wide[rows])
+    score[good_rows] = occupancy.free(drawn.place[good_rows], radius[rows[good_rows]], order[rows[good_rows]])
     return score
 
 

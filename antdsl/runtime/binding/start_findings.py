@@ -17,7 +17,9 @@ from antdsl.scene.staging.item_placement import beside
 
 _HELP = "open a way for it, move the target or the crowd, or write what they do there: `when not reachable({flow}) -> …`"
 _REACHABLE = "flow.reachable"
-_ASKED = "open a way for it, or move the target or the crowd; if it is meant: `# antdsl: ignore[unreachable-target] WHY`"
+_UNREACHABLE_HELP = (
+    "open a way for it, or move the target or the crowd; if it is meant: `# antdsl: ignore[unreachable-target] WHY`"
+)
 
 
 def start_findings(scene: Scene, world: World) -> Report:
@@ -37,7 +39,7 @@ def start_findings(scene: Scene, world: World) -> Report:
             cut_off = count - reaching(world, species, name) if count and uses - {_REACHABLE} else 0
             if cut_off:
                 words = f"{cut_off:,} of {count:,} `{species}` stand where no path leads to the target of `{name}`"
-                help = _ASKED if _REACHABLE in uses else _HELP.format(flow=name)
+                help = _UNREACHABLE_HELP if _REACHABLE in uses else _HELP.format(flow=name)
                 report.warning("unreachable-target", words, scene.span("world", name, "solved"), help)
     return report
 
@@ -45,11 +47,11 @@ def start_findings(scene: Scene, world: World) -> Report:
 def _excessive_gap(world: World, name: str) -> float:
     """How far (mm) a target is from the ground, where that is more than a tenth of the ground's extent; else 0. A target is
     often written with another height than the ground has there, which matters little."""
-    made = world.flows[name]
-    if not isinstance(made, Solved) or made.grounds is None:
+    flow = world.flows[name]
+    if not isinstance(flow, Solved) or flow.grounds is None:
         return 0.0
-    points = made.grounds.land.points
-    return made.gap if len(points) and made.gap > 0.1 * float(np.ptp(points, axis=0).max()) else 0.0
+    points = flow.grounds.land.points
+    return flow.gap if len(points) and flow.gap > 0.1 * float(np.ptp(points, axis=0).max()) else 0.0
 
 
 def reaching(world: World, species: str, flow: str) -> int:
@@ -61,12 +63,12 @@ def reaching(world: World, species: str, flow: str) -> int:
 
 def _flow_uses(species: SpeciesPlan) -> dict[str, set[str]]:
     """Return, by the name of a flow, the operations with which a species reads it."""
-    found: dict[str, set[str]] = {}
-    asked = [node for _, block in blocks(species) for _, each in statements(block) for node in operands(each)]
-    for node in needed([*asked, *species.lazy]):
+    uses: dict[str, set[str]] = {}
+    operand_nodes = [node for _, block in blocks(species) for _, each in statements(block) for node in operands(each)]
+    for node in needed([*operand_nodes, *species.lazy]):
         if node.op.startswith("flow."):
-            found.setdefault(str(node.attrs[0]), set()).add(node.op)
-    return found
+            uses.setdefault(str(node.attrs[0]), set()).add(node.op)
+    return uses
 
 
 def crowding(scene: Scene, world: World) -> Report:

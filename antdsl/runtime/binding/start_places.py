@@ -52,16 +52,16 @@ class StartPlaces:
         drawn = self.draw(ids, range(1))
         good = drawn.good
         if self._faces is not None:
-            whole = self._faces.total
+            total_area = self._faces.total
         elif place.around is not None or not self._grounds:
             radius = _DISC if place.radius is None else place.radius
-            whole = float(np.pi * radius * radius)
+            total_area = float(np.pi * radius * radius)
         else:
-            whole = areas(self._world, self._on, None, None, None).total
-            way = drawn.place - self._points(ids, 0)  # what is dropped onto another face does not lie open to above
-            good = good & (vec.length(vec.columns(way, np.float64)) < _SAME)
+            total_area = areas(self._world, self._on, None, None, None).total
+            displacement = drawn.place - self._points(ids, 0)  # what is dropped onto another face does not lie open to above
+            good = good & (vec.length(vec.columns(displacement, np.float64)) < _SAME)
         share = float(np.count_nonzero(good)) / _SAMPLE
-        return whole if share == 1 else float(f"{whole * share:.1e}")
+        return total_area if share == 1 else float(f"{total_area * share:.1e}")
 
     def larger(self, cover: float) -> float | None:
         """Return a radius (mm) of the place at which agents that cover `cover` (mm²) fit; None if there is none."""
@@ -94,12 +94,12 @@ class StartPlaces:
             return self._by_area(self._faces, ids, tries)
         points = np.concatenate([self._points(ids, attempt) for attempt in tries])
         if self.given and place.by_area:
-            footing, found = world.ground.nearest(points, place.on or None)[0], np.ones(len(points), np.bool_)
-            return Drawn(footing, world.ground.position(footing), world.ground.normal(footing), found)
-        footing, found = world.ground.place(points, world.up, place.on or None)
+            footing, has_ground = world.ground.nearest(points, place.on or None)[0], np.ones(len(points), np.bool_)
+            return Drawn(footing, world.ground.position(footing), world.ground.normal(footing), has_ground)
+        footing, has_ground = world.ground.place(points, world.up, place.on or None)
         at = world.ground.position(footing)
         up = np.array(np.broadcast_to(world.up, at.shape))
-        return Drawn(footing, at, up, found & ~inside_obstacle(world, at) if not self.given else found)
+        return Drawn(footing, at, up, has_ground & ~inside_obstacle(world, at) if not self.given else has_ground)
 
     def _uniform(self, ids: Ids, index: int, site: str = "place") -> NDArray[np.float32]:
         seed = self._world.setting.seed if self.place.seed is None else self.place.seed
@@ -129,28 +129,28 @@ class StartPlaces:
     def _by_area(self, faces: Area, ids: Ids, tries: range) -> Drawn:
         """Return places spread evenly over faces of any orientation, with up along their normals."""
         draws = [np.concatenate([self._uniform(ids, 4 * attempt + k) for attempt in tries]) for k in range(4)]
-        footing, up, found = faces.at(*draws)
+        footing, up, can_stand = faces.at(*draws)
         at = self._world.ground.position(footing)
-        return Drawn(footing, at, up, found & ~inside_obstacle(self._world, at))
+        return Drawn(footing, at, up, can_stand & ~inside_obstacle(self._world, at))
 
     def _seen_from(self, start: Floats, ids: Ids, tries: range) -> Drawn:
         """Return the first hits of rays from a place in drawn directions, with ups towards the place. A ray that hits no mesh, or
         one not in `on`, gives no place: the surface nearest to its start."""
         world, meshes = self._world, self._world.ground.meshes
         assert meshes is not None
-        wanted = [meshes.names.index(name) for name in (self.place.on or meshes.names) if name in meshes.names]
+        mesh_numbers = [meshes.names.index(name) for name in (self.place.on or meshes.names) if name in meshes.names]
         far = meshes.extent * 1.8 + float(np.abs(start - (meshes.low + meshes.high) / 2).max())
         u, v = (np.concatenate([self._uniform(ids, 2 * attempt + k, "inside") for attempt in tries]) for k in range(2))
         height = 1.0 - 2.0 * u.astype(np.float64)  # even over a ball, by a theorem of Archimedes
         flat, angle = np.sqrt(np.maximum(1.0 - height * height, 0.0)), v * TURN
-        way = np.stack([flat * elementary.cos(angle), height, flat * elementary.sin(angle)], axis=1)
-        begin = np.broadcast_to(start, way.shape)
-        found, part, footing = meshes.met(begin, way * far)
-        good = found & np.isin(footing.mesh, wanted)
-        at = np.where(good[:, None], begin + way * (far * part)[:, None], begin)
+        directions = np.stack([flat * elementary.cos(angle), height, flat * elementary.sin(angle)], axis=1)
+        begin = np.broadcast_to(start, directions.shape)
+        has_hit, part, footing = meshes.trace_hits(begin, directions * far)
+        good = has_hit & np.isin(footing.mesh, mesh_numbers)
+        at = np.where(good[:, None], begin + directions * (far * part)[:, None], begin)
         good &= ~inside_obstacle(world, at)
         standing = world.ground.nearest(at)[0]
-        up = np.where(good[:, None], -way, world.up)
+        up = np.where(good[:, None], -directions, world.up)
         return Drawn(standing, world.ground.position(standing), up, good)
 
 
@@ -169,7 +169,7 @@ def _on_faces(meshes: list[MeshData], u: NDArray[np.float32], v: NDArray[np.floa
 
 def inside_obstacle(world: World, points: Floats) -> NDArray[np.bool_]:
     """Whether points lie in an obstacle: the first face above them shows its back."""
-    found = np.zeros(len(points), np.bool_)
+    is_inside = np.zeros(len(points), np.bool_)
     up = np.broadcast_to(world.up, points.shape)
     for name in world.plan.of_kind("obstacle"):
         mesh = world.setting.obstacles.get(name)
@@ -178,5 +178,5 @@ def inside_obstacle(world: World, points: Floats) -> NDArray[np.bool_]:
         hits = mesh_of(world, name).cast(points, up)
         corners = mesh.vertices[mesh.faces[np.maximum(hits.face, 0)]]
         normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])  # edges: the origin does not matter
-        found |= hits.hit & ((normal * up).sum(axis=1) > 0)
-    return found
+        is_inside |= hits.hit & ((normal * up).sum(axis=1) > 0)
+    return is_inside

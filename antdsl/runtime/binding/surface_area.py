@@ -64,20 +64,20 @@ class Area:
         face, b1, b2, place = self.points(*draws)
         if not len(self.cumulative):
             return Footing.nowhere(len(face)), np.array(np.broadcast_to(self.world.up, place.shape)), face >= 0
-        found = np.ones(len(face), np.bool_)
+        can_stand = np.ones(len(face), np.bool_)
         if self.ball is not None:
             middle, radius = self.ball
             away = place - middle
-            found &= away[:, 0] * away[:, 0] + away[:, 1] * away[:, 1] + away[:, 2] * away[:, 2] <= radius * radius
+            can_stand &= away[:, 0] * away[:, 0] + away[:, 1] * away[:, 1] + away[:, 2] * away[:, 2] <= radius * radius
         across = vec.cross(vec.columns(self.edge1[face], np.float64), vec.columns(self.edge2[face], np.float64))
         up = vec.rows(vec.scale(across, 1.0 / np.maximum(vec.length(across), 1e-300)))
         mesh = self.mesh[face]
         footing = Footing.on_faces(mesh, self.local[face], b1, b2)
         if not self.world.solids:
-            return footing, up, found
-        return self._with_solids(footing, place, up, found)
+            return footing, up, can_stand
+        return self._with_solids(footing, place, up, can_stand)
 
-    def _with_solids(self, on_mesh: Footing, place: Floats, up: Floats, found: Flags) -> tuple[Footing, Floats, Flags]:
+    def _with_solids(self, on_mesh: Footing, place: Floats, up: Floats, can_stand: Flags) -> tuple[Footing, Floats, Flags]:
         ground, footing = self.world.ground, on_mesh.with_places()
         first = len(ground.names) - len(self.world.solids)
         for k, (name, volume) in enumerate(self.world.solids.items()):
@@ -85,11 +85,11 @@ class Area:
             if rows.size:
                 landed, _ = ground.nearest(place[rows], [name])
                 footing.put(rows, landed)
-                found[rows] &= landed.mesh == first + k
+                can_stand[rows] &= landed.mesh == first + k
                 up[rows] = ground.normal(landed)
             on_meshes = on_mesh.mesh < first
-            found[on_meshes] &= volume.sample(place[on_meshes]) >= -_BURIED * volume.voxel
-        return footing, up, found
+            can_stand[on_meshes] &= volume.sample(place[on_meshes]) >= -_BURIED * volume.voxel
+        return footing, up, can_stand
 
 
 def areas(world: World, on: tuple[str, ...], density: str | None, around: Point | None, radius: float | None) -> Area:
@@ -123,7 +123,7 @@ _Faces = tuple[NDArray[np.int32], NDArray[np.int32], Floats, Floats, Floats, Flo
 def _faces(world: World, on: tuple[str, ...], density: str | None) -> _Faces:
     """Mesh, number in it, corner, two edges and density at the corners (k, 3), of all live faces of some surfaces and solids."""
     ground = world.ground.meshes
-    found: list[_Faces] = []
+    face_groups: list[_Faces] = []
     if ground is not None:
         _, _, mesh, table = ground.triangles
         rows = np.flatnonzero(table.live & np.isin(mesh, [k for k, name in enumerate(ground.names) if name in on]))
@@ -132,7 +132,7 @@ def _faces(world: World, on: tuple[str, ...], density: str | None) -> _Faces:
         if density is not None:
             weight = np.maximum(world.maps[density].corners, 0.0).T[rows]
         corner, edge1, edge2 = (np.ascontiguousarray(v[:, rows].T) for v in (table.corner, table.edge1, table.edge2))
-        found.append((mesh[rows], (rows - first[mesh[rows]]).astype(np.int32), corner, edge1, edge2, weight))
+        face_groups.append((mesh[rows], (rows - first[mesh[rows]]).astype(np.int32), corner, edge1, edge2, weight))
     names = list(world.setting.surfaces)
     for k, (name, solid) in enumerate(world.setting.solids.items()):
         if name in on and density is None:
@@ -140,8 +140,8 @@ def _faces(world: World, on: tuple[str, ...], density: str | None) -> _Faces:
             n = len(corners)
             which = np.full(n, len(names) + k, np.int32)
             a, b, c = corners[:, 0], corners[:, 1], corners[:, 2]
-            found.append((which, np.arange(n, dtype=np.int32), a, b - a, c - a, np.ones((n, 3))))
-    meshes, locals_, *vectors = zip(*found, strict=True)
+            face_groups.append((which, np.arange(n, dtype=np.int32), a, b - a, c - a, np.ones((n, 3))))
+    meshes, locals_, *vectors = zip(*face_groups, strict=True)
     corner, edge1, edge2, weight = (np.concatenate(v) for v in vectors)
     return np.concatenate(meshes), np.concatenate(locals_), corner, edge1, edge2, weight
 
@@ -151,20 +151,20 @@ def _within(ball: tuple[Floats, float], corner: Floats, edge1: Floats, edge2: Fl
     that reaches outside is cut into four while it is larger than half the radius."""
     middle, radius = ball
     face, weights = np.arange(len(corner)), np.broadcast_to(_CORNERS, (len(corner), 3, 2))
-    kept: list[tuple[NDArray[np.int64], Floats]] = []
+    pieces: list[tuple[NDArray[np.int64], Floats]] = []
     for step in range(_HALVINGS):
         at = corner[face][:, None] + weights[:, :, :1] * edge1[face][:, None] + weights[:, :, 1:] * edge2[face][:, None]
         centre = at.mean(axis=1)
         reach = np.sqrt(((at - centre[:, None]) ** 2).sum(axis=2).max(axis=1))
         near = np.sqrt(((centre - middle) ** 2).sum(axis=1)) <= reach + radius
         small = near & ((reach <= radius / 4) | (step == _HALVINGS - 1))
-        kept.append((face[small], weights[small]))
+        pieces.append((face[small], weights[small]))
         large = near & ~small
         face, weights = face[large], weights[large]
         if not len(face):
             break
         face, weights = _cut(face, weights, at[large])
-    faces, parts = zip(*kept, strict=True)
+    faces, parts = zip(*pieces, strict=True)
     return np.concatenate(faces), np.concatenate(parts)
 
 

@@ -23,11 +23,11 @@ _LEAST = 1e-12
 _F = np.float32
 
 
-def place_bodies(population: Population, room: str, threads: int) -> NDArray[np.float64]:
-    """Return the table of a population. `room`: the name of the buffer that holds it; the next call with this name reuses the
-    buffer."""
+def place_bodies(population: Population, buffer_name: str, threads: int) -> NDArray[np.float64]:
+    """Return the table of a population. `buffer_name`: the name of the buffer that holds it; the next call with this name reuses
+    the buffer."""
     n, now = len(population), population.now
-    (bodies,) = population.room(room, 1, (_ROWS, n), np.float64)
+    (bodies,) = population.get_buffers(buffer_name, 1, (_ROWS, n), np.float64)
     if n:
         columns = vec.named(now, "heading"), vec.named(now, "up"), now["size"]
         work = partial(_place_bodies, population.position, *columns, population.in_id_order(), bodies)

@@ -38,7 +38,7 @@ def aim(
     targets: tuple[Array2[F32], Array2[F32], Array2[F32]],
     what: Array2[U8],
     seekers: Seekers,
-    ways: Array2[F64],
+    displacements: Array2[F64],
     quick: Array1[BOOL],
     begin: I64,
     end: I64,
@@ -50,7 +50,7 @@ def aim(
     legs, exact = measures
     count = legs.shape[1]
     target_x, target_z, left = targets
-    hips, wanted, ups, longest, soles = seekers
+    hips, goals, ups, longest, soles = seekers
     for k in range(begin, end):
         i, leg = requests[k] // count, requests[k] % count
         place, ahead, up, aside, size = body_at(bodies, i)
@@ -63,8 +63,8 @@ def aim(
         for axis in range(3):
             hip = place[axis] + ((a * ahead[axis] + b * up[axis]) + c * aside[axis]) * size
             goal = place[axis] + (to_x * ahead[axis] + to_z * aside[axis]) * size
-            hips[axis, k], wanted[axis, k], ups[axis, k] = hip, goal, up[axis]
-            ways[axis, k] = (goal - hip) * BEYOND
+            hips[axis, k], goals[axis, k], ups[axis, k] = hip, goal, up[axis]
+            displacements[axis, k] = (goal - hip) * BEYOND
         longest[k], soles[k] = exact[0, leg] * size * REACHED, exact[1, leg] * size
         quick[k] = what[leg, i] == LIFTS
 
@@ -75,7 +75,7 @@ def cast(
     box: tuple[Array1[F64], Array1[F64]],
     number: I64,
     origins: Array2[F64],
-    ways: Array2[F64],
+    displacements: Array2[F64],
     hits: Hits,
     far: Array1[I64],
     begin: I64,
@@ -93,16 +93,16 @@ def cast(
         if k < end:
             inside = True
             for axis in range(3):
-                tail, head = origins[axis, k], origins[axis, k] + ways[axis, k]
+                tail, head = origins[axis, k], origins[axis, k] + displacements[axis, k]
                 inside = inside and min(tail, head) <= high[axis] and max(tail, head) >= low[axis]
             if inside:
                 rays[near] = k
                 near += 1
         if near == AHEAD or (k == end and near > 0):
-            fetch_rays(grid, origins, zero, ways, rays, cells, near)
+            fetch_rays(grid, origins, zero, displacements, rays, cells, near)
             for n in range(near):
                 ray = rays[n]
-                a, w = of(origins, ray), of(ways, ray)
+                a, w = of(origins, ray), of(displacements, ray)
                 t, named = first_hit(grid, minus(a, zero), w)
                 if named == FURTHER:
                     far[begin + count] = ray
@@ -145,10 +145,10 @@ def look_around(
 ) -> None:
     """Compute the rays of seekers `rows` from `origins` to the point above their requested position, and from there (`above`)
     down."""
-    hips, wanted, ups, longest, _ = seekers
+    hips, goals, ups, longest, _ = seekers
     for n in range(begin, end):
         k = rows[n]
-        hip, goal, up, leg = of(hips, k), of(wanted, k), of(ups, k), longest[k]
+        hip, goal, up, leg = of(hips, k), of(goals, k), of(ups, k), longest[k]
         height = max(dot(minus(hip, goal), up), _LOWEST * leg)
         for axis in range(3):
             top = goal[axis] + up[axis] * height
@@ -201,13 +201,13 @@ def choose(
 
 
 @kernel
-def accept(seekers: Seekers, rows: Array1[I64], close: Hits, seen: Hits, hits: Hits, begin: I64, end: I64) -> None:
-    """Copy the nearest positions `close` of seekers `rows` to `hits` where the leg reaches them and its hip sees them. `seen`:
-    what rays from the hip hit."""
+def accept(seekers: Seekers, rows: Array1[I64], close: Hits, sight_hits: Hits, hits: Hits, begin: I64, end: I64) -> None:
+    """Copy the nearest positions `close` of seekers `rows` to `hits` where the leg reaches them and its hip sees them.
+    `sight_hits`: what rays from the hip hit."""
     for n in range(begin, end):
         k = rows[n]
-        gap = minus(of(seen[1], n), of(close[1], n))
-        sight = not np.isfinite(seen[0][n]) or np.sqrt(dot(gap, gap)) < 1e-3 * seekers[3][k]
+        gap = minus(of(sight_hits[1], n), of(close[1], n))
+        sight = not np.isfinite(sight_hits[0][n]) or np.sqrt(dot(gap, gap)) < 1e-3 * seekers[3][k]
         if sight and _reaches(seekers, close, k, n):
             _copy(hits, k, close, n)
 
@@ -228,9 +228,9 @@ def settle(
     count = on.shape[0]
     for k in range(begin, end):
         i, leg = requests[k] // count, requests[k] % count
-        found = of(seekers[1], k) if hits[2][k] == NOTHING else of(hits[1], k)
+        foothold = of(seekers[1], k) if hits[2][k] == NOTHING else of(hits[1], k)
         for axis in range(3):
-            place[axis, leg, i] = found[axis]
+            place[axis, leg, i] = foothold[axis]
         on[leg, i], face[leg, i] = hits[2][k], hits[3][k]
         weight[0, leg, i], weight[1, leg, i] = hits[4][0, k], hits[4][1, k]
 

@@ -16,7 +16,7 @@ _ZERO, _ONE, _TWO = _F(0), _F(1), _F(2)
 
 MOST_CYCLES = 1 / 3  # of a gait in one frame: faster legs would seem to go backward or to stand (their stride grows instead)
 REACHED = 0.97  # of a leg's length: how far its foot may be from its hip and stand
-ROOM = 0.38  # of how far a foot can be ahead of its hip: so far it can go either way from where it rests
+REACH_SHARE = 0.38  # of how far a foot can be ahead of its hip: so far it can go either way from where it rests
 SINK = 0.12  # of a leg's length: how far the trunk may come down for a longer step
 _OFF = _F(0.12)  # of a leg: how far from where it rests a foot may stay
 _RESTING = 0.5  # s, of one cycle in which feet are put back where they rest, where the slowest gait has no speed
@@ -67,24 +67,24 @@ class Gait(NamedTuple):
 
 
 @inlined
-def gait_at(gaits: Any, speed: F32, went: F32, reach: F32) -> Gait:
-    """Return the gait at a speed (lengths a second) of an agent that covers `went` lengths in a frame. `reach`: the reach of its
-    shortest leg."""
+def gait_at(gaits: Any, speed: F32, frame_distance: F32, reach: F32) -> Gait:
+    """Return the gait at a speed (lengths a second) of an agent that covers `frame_distance` lengths in a frame. `reach`: the
+    reach of its shortest leg."""
     speeds, values = gaits[0], gaits[1]
     last, k = speeds.size - 1, 0
     for each in range(1, speeds.size):
         if speed >= speeds[each]:
             k = each
-    after = min(k + 1, last)
-    gap = speeds[after] - speeds[k]
+    next_index = min(k + 1, last)
+    gap = speeds[next_index] - speeds[k]
     share = min(max((speed - speeds[k]) / gap, _ZERO), _ONE) if gap > _ZERO else _ZERO
-    stride = values[k, 0] + (values[after, 0] - values[k, 0]) * share
-    duty = values[k, 1] + (values[after, 1] - values[k, 1]) * share
-    lift = values[k, 2] + (values[after, 2] - values[k, 2]) * share
+    stride = values[k, 0] + (values[next_index, 0] - values[k, 0]) * share
+    duty = values[k, 1] + (values[next_index, 1] - values[k, 1]) * share
+    lift = values[k, 2] + (values[next_index, 2] - values[k, 2]) * share
     fastest = speeds[last]
     if speed > fastest and fastest > _ZERO:
         stride = stride * speed / fastest
-    stride = max(stride, went * _PER_STRIDE)
+    stride = max(stride, frame_distance * _PER_STRIDE)
     # A foot stands no longer than its leg can follow: an agent that covers more ground in a cycle flies in between.
     return Gait(k, stride, min(duty, _TWO * reach / stride), lift)
 
@@ -93,7 +93,7 @@ def resting(legs: LegsData) -> tuple[Floats, Floats]:
     """Return where feet rest, ahead and aside of the body, float32[L] each. This is the position in the standing body, but nearer
     to the hip where a stretched leg could not follow a step."""
     down, ahead = legs.foot - legs.hip, _ahead(legs)
-    most = ahead * (1.0 - ROOM)
+    most = ahead * (1.0 - REACH_SHARE)
     x = legs.hip[:, 0] + np.clip(down[:, 0], -most, most)
     return np.asarray(x, np.float32), np.asarray(legs.foot[:, 2], np.float32)
 
@@ -108,5 +108,5 @@ def _ahead(legs: LegsData) -> NDArray[np.float64]:
 
 def _reach(legs: LegsData) -> Floats:
     """Return how far ahead or behind its resting place each foot can be."""
-    found = _ahead(legs) - np.abs(resting(legs)[0].astype(np.float64) - legs.hip[:, 0])
-    return np.asarray(np.maximum(found, 0.05 * legs.length), np.float32)
+    reach = _ahead(legs) - np.abs(resting(legs)[0].astype(np.float64) - legs.hip[:, 0])
+    return np.asarray(np.maximum(reach, 0.05 * legs.length), np.float32)

@@ -24,7 +24,7 @@ from antdsl.runtime.feet.state import NOTHING, PLANE
 from antdsl.runtime.moving.moving_geometry import vertices_at
 from antdsl.runtime.world import World
 
-Places = NDArray[np.float64]  # (3, k)
+Vectors = NDArray[np.float64]  # (3, k)
 Rows = NDArray[np.int64]
 Arrays = tuple[NDArray[Any], ...]
 
@@ -33,20 +33,20 @@ _RAYS = 256  # for which a thread pays
 
 
 @dataclass(slots=True, eq=False)
-class Found:
+class GroundHits:
     """Where k rays hit something: `place` float64[3, k], `part` of the ray (inf: no hit), `on`, `face` and `weight` as in
     `Feet`."""
 
     part: NDArray[np.float64]
-    place: Places
+    place: Vectors
     on: NDArray[np.int16]
     face: NDArray[np.int32]
     weight: NDArray[np.float64]
 
     @staticmethod
-    def none(count: int) -> Found:
+    def none(count: int) -> GroundHits:
         """Nothing met."""
-        return Found(
+        return GroundHits(
             np.full(count, np.inf), np.zeros((3, count)), np.full(count, NOTHING, np.int16), np.zeros(count, np.int32),
             np.zeros((2, count)),
         )  # fmt: skip
@@ -56,7 +56,7 @@ class Found:
         """As kernels read them."""
         return self.part, self.place, self.on, self.face, self.weight
 
-    def put(self, rows: Rows, other: Found) -> None:
+    def put(self, rows: Rows, other: GroundHits) -> None:
         """Put other hits into rows."""
         self.part[rows], self.on[rows], self.face[rows] = other.part, other.on, other.face
         self.place[:, rows], self.weight[:, rows] = other.place, other.weight
@@ -79,206 +79,215 @@ class Floor:
             if name in self.meshes and k not in self.moving and len(self.meshes[name].vertices)
         }
 
-    def cast(self, world: World, origin: Places, way: Places, most_hit: bool = True) -> Found:
-        """Return the first hits of the straight lines from `origin` by `way`.
+    def cast(self, world: World, origin: Vectors, displacement: Vectors, most_hit: bool = True) -> GroundHits:
+        """Return the first hits of the straight lines from `origin` by `displacement`.
 
         `most_hit`: most lines are expected to hit walkable surfaces, so Open3D need not test first which do. It does not change
         the result."""
-        found, threads = Found.none(origin.shape[1]), world.options.threads
+        hits, threads = GroundHits.none(origin.shape[1]), world.options.threads
         if isinstance(world.ground, Plane):
-            _on_plane(world, origin, way, found)
+            _on_plane(world, origin, displacement, hits)
         for k, name in enumerate(self.names):
-            seen = world.obstacles.get(name)
-            box = self._box_of(world, k, seen)
+            obstacle = world.obstacles.get(name)
+            box = self._box_of(world, k, obstacle)
             if box is None:
                 continue
-            tables = seen.tables() if isinstance(seen, RayScene) and k not in self.moving else None
+            tables = obstacle.tables() if isinstance(obstacle, RayScene) and k not in self.moving else None
             if tables is None:
-                near = _meeting(box, origin, way)
+                near = _meeting(box, origin, displacement)
             else:
-                far = np.empty(len(found.part), np.int64)
-                work = partial(footholds.cast, tables, box, k, origin, way, found.columns, far)
+                far = np.empty(len(hits.part), np.int64)
+                work = partial(footholds.cast, tables, box, k, origin, displacement, hits.columns, far)
                 near = parallel.joined(parallel.in_parts(work, len(far), threads, _RAYS), far)[0]
             if not near.size:
                 continue
-            if isinstance(seen, RayScene):
+            if isinstance(obstacle, RayScene):
                 sure = most_hit and name in world.setting.surfaces
-                near = near if sure else _close(seen, near, origin, way)
+                near = near if sure else _close(obstacle, near, origin, displacement)
                 if near.size:
-                    self._on_mesh(world, k, seen, near, (origin, way), found, sure)
-            elif isinstance(seen, SolidFeelers):
-                _on_solid(k, seen, near, origin, way, found)
-        return found
+                    self._on_mesh(world, k, obstacle, near, (origin, displacement), hits, sure)
+            elif isinstance(obstacle, SolidFeelers):
+                _on_solid(k, obstacle, near, origin, displacement, hits)
+        return hits
 
-    def nearest(self, world: World, points: Places, reach: NDArray[np.float64]) -> Found:
+    def nearest(self, world: World, points: Vectors, reach: NDArray[np.float64]) -> GroundHits:
         """Return the nearest positions to points, within `reach` (mm, [k])."""
-        found = Found.none(points.shape[1])
+        hits = GroundHits.none(points.shape[1])
         least = reach.copy()
         for k, name in enumerate(self.names):
-            seen = world.obstacles.get(name)
-            box = self._box_of(world, k, seen)
+            obstacle = world.obstacles.get(name)
+            box = self._box_of(world, k, obstacle)
             if box is None:
                 continue
             near = np.flatnonzero(((points - reach <= box[1][:, None]) & (points + reach >= box[0][:, None])).all(axis=0))
-            near = _within(seen, near, points, reach) if isinstance(seen, RayScene) else near
+            near = _within(obstacle, near, points, reach) if isinstance(obstacle, RayScene) else near
             if not near.size:
                 continue
-            if isinstance(seen, RayScene):
-                _, face, place, distance = seen.closest(points[:, near].T, world.options.threads, least[near])
+            if isinstance(obstacle, RayScene):
+                _, face, place, distance = obstacle.closest(points[:, near].T, world.options.threads, least[near])
             else:
-                assert isinstance(seen, SolidFeelers)
-                slope = seen.volume.gradient(points[:, near].T).astype(np.float64)
-                landed = seen.volume.project(points[:, near].T, _unit_rows(slope), float(reach.max()))
+                assert isinstance(obstacle, SolidFeelers)
+                slope = obstacle.volume.gradient(points[:, near].T).astype(np.float64)
+                landed = obstacle.volume.project(points[:, near].T, _unit_rows(slope), float(reach.max()))
                 place, face = landed.points, np.zeros(near.size, np.int32)
-                distance = np.where(landed.found, _length((landed.points - points[:, near].T).T), np.inf)
+                distance = np.where(landed.is_in_reach, _length((landed.points - points[:, near].T).T), np.inf)
             nearer = distance < least[near]
             rows = near[nearer]
             least[rows] = distance[nearer]
-            found.put(rows, self._hits(world, k, distance[nearer], place[nearer].T, face[nearer]))
-        return found
+            hits.put(rows, self._hits(world, k, distance[nearer], place[nearer].T, face[nearer]))
+        return hits
 
-    def carried(self, world: World, on: NDArray[np.int16], face: NDArray[np.int32], weight: Places, place: Places) -> None:
+    def carried(self, world: World, on: NDArray[np.int16], face: NDArray[np.int32], weight: Vectors, place: Vectors) -> None:
         """Move places [3, …] that are on moving things to their current positions."""
         for k in self.moving:
             rows = on == k
             if rows.any():
-                vertices = vertices_at(world, self.names[k], world.shown)
+                vertices = vertices_at(world, self.names[k], world.display_frame)
                 a, b, c = (vertices[self.meshes[self.names[k]].faces[face[rows], corner]].T for corner in range(3))
                 place[:, rows] = a + weight[0][rows] * (b - a) + weight[1][rows] * (c - a)
 
-    def _box_of(self, world: World, k: int, seen: object) -> tuple[Places, Places] | None:
-        if isinstance(seen, SolidFeelers):
-            return seen.volume.low, seen.volume.high
+    def _box_of(self, world: World, k: int, obstacle: object) -> tuple[Vectors, Vectors] | None:
+        if isinstance(obstacle, SolidFeelers):
+            return obstacle.volume.low, obstacle.volume.high
         if k in self.moving:
-            return _box(vertices_at(world, self.names[k], world.shown))
+            return _box(vertices_at(world, self.names[k], world.display_frame))
         return self._still.get(k)
 
     def _on_mesh(
-        self, world: World, k: int, seen: RayScene, near: Rows, rays: tuple[Places, Places], found: Found, most_hit: bool
+        self,
+        world: World,
+        k: int,
+        obstacle: RayScene,
+        near: Rows,
+        rays: tuple[Vectors, Vectors],
+        hits: GroundHits,
+        most_hit: bool,
     ) -> None:
         a, w = (each[:, near] for each in rays)
         begin, step = np.ascontiguousarray(a.T), np.ascontiguousarray(w.T)
-        which, part, _, face = seen.cast_within(begin, step, world.options.threads, most_hit)
-        nearer = part < found.part[near[which]]
+        which, part, _, face = obstacle.cast_within(begin, step, world.options.threads, most_hit)
+        nearer = part < hits.part[near[which]]
         which, part, face = which[nearer], part[nearer], face[nearer]
-        found.put(near[which], self._hits(world, k, part, a[:, which] + w[:, which] * part, face))
+        hits.put(near[which], self._hits(world, k, part, a[:, which] + w[:, which] * part, face))
 
-    def _hits(self, world: World, k: int, part: NDArray[np.float64], place: Places, face: NDArray[np.int32]) -> Found:
-        made = Found(part, place, np.full(len(part), k, np.int16), np.zeros(len(part), np.int32), np.zeros((2, len(part))))
+    def _hits(self, world: World, k: int, part: NDArray[np.float64], place: Vectors, face: NDArray[np.int32]) -> GroundHits:
+        hits = GroundHits(part, place, np.full(len(part), k, np.int16), np.zeros(len(part), np.int32), np.zeros((2, len(part))))
         if k in self.moving and len(part):
-            made.face = face.astype(np.int32)
-            vertices = vertices_at(world, self.names[k], world.shown)
+            hits.face = face.astype(np.int32)
+            vertices = vertices_at(world, self.names[k], world.display_frame)
             corners = tuple(vertices[self.meshes[self.names[k]].faces[face, corner]].T for corner in range(3))
-            made.weight = _weights(place, *corners)
-        return made
+            hits.weight = _weights(place, *corners)
+        return hits
 
 
 @dataclass(slots=True, eq=False)
 class Seeking:
     """Feet that need ground. `requests` int64[k]: agent number times L plus leg number. `columns`: hip, requested position and up
-    of the body, (3, k); greatest distance (mm) of the foot joint from the hip; its height above the ground. `way` (3, k): from
-    the hip to beyond the requested position. `is_quick`: the foot lifts, and searches again when it lands."""
+    of the body, (3, k); greatest distance (mm) of the foot joint from the hip; its height above the ground. `displacement` (3,
+    k): from the hip to beyond the requested position. `is_quick`: the foot lifts, and searches again when it lands."""
 
     requests: Rows
     columns: Arrays
-    way: Places
+    displacement: Vectors
     is_quick: NDArray[np.bool_]
 
     @staticmethod
-    def of(requests: Rows, given: tuple[Any, ...], threads: int) -> Seeking:
-        """Return the feet of some requests. `given`: the next arguments of `footholds.aim`."""
+    def of(requests: Rows, aim_inputs: tuple[Any, ...], threads: int) -> Seeking:
+        """Return the feet of some requests. `aim_inputs`: the next arguments of `footholds.aim`."""
         count = len(requests)
-        room = np.empty((14, count))
-        columns = room[:3], room[3:6], room[6:9], room[12], room[13]
-        made = Seeking(requests, columns, room[9:12], np.empty(count, np.bool_))
-        work = partial(footholds.aim, requests, *given, columns, made.way, made.is_quick)
+        buffer = np.empty((14, count))
+        columns = buffer[:3], buffer[3:6], buffer[6:9], buffer[12], buffer[13]
+        seeking = Seeking(requests, columns, buffer[9:12], np.empty(count, np.bool_))
+        work = partial(footholds.aim, requests, *aim_inputs, columns, seeking.displacement, seeking.is_quick)
         parallel.in_parts(work, count, threads, _RAYS)
-        return made
+        return seeking
 
-    def settle(self, found: Found, columns: Arrays, threads: int) -> None:
+    def settle(self, hits: GroundHits, columns: Arrays, threads: int) -> None:
         """Write the ground that was found to the feet: `place`, `on`, `face` and `weight`, legs first."""
-        work = partial(footholds.settle, self.requests, self.columns, found.columns, *columns)
+        work = partial(footholds.settle, self.requests, self.columns, hits.columns, *columns)
         parallel.in_parts(work, len(self.requests), threads, _RAYS)
 
 
-def seek(world: World, floor: Floor, seeking: Seeking) -> Found:
+def seek(world: World, floor: Floor, seeking: Seeking) -> GroundHits:
     """Return ground for feet. Quick ones only get what is on the straight line, at any distance from the target."""
     threads, count = world.options.threads, len(seeking.requests)
-    found = floor.cast(world, seeking.columns[0], seeking.way)
+    hits = floor.cast(world, seeking.columns[0], seeking.displacement)
     fits, rows = np.empty(count, np.bool_), np.empty(count, np.int64)
-    work = partial(footholds.judge, seeking.columns, found.columns, seeking.is_quick, fits, rows)
+    work = partial(footholds.judge, seeking.columns, hits.columns, seeking.is_quick, fits, rows)
     (rows,) = parallel.joined(parallel.in_parts(work, count, threads, _RAYS), rows)
     if rows.size:
-        _look_around(world, floor, seeking, found, fits, rows)
-    return found
+        _look_around(world, floor, seeking, hits, fits, rows)
+    return hits
 
 
-def _look_around(world: World, floor: Floor, seeking: Seeking, found: Found, fits: NDArray[np.bool_], rows: Rows) -> None:
+def _look_around(world: World, floor: Floor, seeking: Seeking, hits: GroundHits, fits: NDArray[np.bool_], rows: Rows) -> None:
     """Find ground for feet that have no straight line to the requested position: from above it, then the nearest point."""
     threads, count = world.options.threads, len(rows)
-    room = np.empty((13, count))
-    above, to_above, down, hips, reach = room[:3], room[3:6], room[6:9], room[9:12], room[12]
+    buffer = np.empty((13, count))
+    above, to_above, down, hips, reach = buffer[:3], buffer[3:6], buffer[6:9], buffer[9:12], buffer[12]
     parallel.in_parts(partial(footholds.look_around, seeking.columns, rows, above, to_above, down, hips), count, threads, _RAYS)
     level = floor.cast(world, hips, to_above, most_hit=False)
     below = floor.cast(world, above, down)
     lost = np.empty(count, np.int64)
-    given = seeking.columns, rows, found.columns, fits, level.columns, below.columns, lost, reach
-    parts = parallel.in_parts(partial(footholds.choose, *given), count, threads, _RAYS)
+    choose_inputs = seeking.columns, rows, hits.columns, fits, level.columns, below.columns, lost, reach
+    parts = parallel.in_parts(partial(footholds.choose, *choose_inputs), count, threads, _RAYS)
     lost, reach = parallel.joined(parts, lost, reach)
     if lost.size:
         rows, hips = rows[lost], np.ascontiguousarray(hips[:, lost])
         close = floor.nearest(world, np.ascontiguousarray(seeking.columns[1][:, rows]), reach)
-        seen = floor.cast(world, hips, (close.place - hips) * (1.0 - _SHY))
-        footholds.accept(seeking.columns, rows, close.columns, seen.columns, found.columns, 0, len(rows))
+        sight_hits = floor.cast(world, hips, (close.place - hips) * (1.0 - _SHY))
+        footholds.accept(seeking.columns, rows, close.columns, sight_hits.columns, hits.columns, 0, len(rows))
 
 
-def _meeting(box: tuple[Places, Places], origin: Places, way: Places) -> Rows:
+def _meeting(box: tuple[Vectors, Vectors], origin: Vectors, displacement: Vectors) -> Rows:
     """The rays that may meet a box."""
-    low, high = np.minimum(origin, origin + way), np.maximum(origin, origin + way)
+    low, high = np.minimum(origin, origin + displacement), np.maximum(origin, origin + displacement)
     return np.flatnonzero(((low <= box[1][:, None]) & (high >= box[0][:, None])).all(axis=0))
 
 
-def _close(seen: RayScene, rows: Rows, origin: Places, way: Places) -> Rows:
+def _close(obstacle: RayScene, rows: Rows, origin: Vectors, displacement: Vectors) -> Rows:
     """Return the rays that may hit a mesh, by a test with the bounding sphere of each ray."""
-    half = way * 0.5
-    return _within(seen, rows, origin + half, _length(half))
+    half = displacement * 0.5
+    return _within(obstacle, rows, origin + half, _length(half))
 
 
-def _within(seen: RayScene, rows: Rows, points: Places, reach: NDArray[np.float64]) -> Rows:
+def _within(obstacle: RayScene, rows: Rows, points: Vectors, reach: NDArray[np.float64]) -> Rows:
     """Return the points that may be within `reach` of a mesh."""
-    return rows[seen.clearance(*points[:, rows]) <= reach[rows] * (1 + 1e-4) + 1e-4]
+    return rows[obstacle.clearance(*points[:, rows]) <= reach[rows] * (1 + 1e-4) + 1e-4]
 
 
-def _on_plane(world: World, origin: Places, way: Places, found: Found) -> None:
+def _on_plane(world: World, origin: Vectors, displacement: Vectors, hits: GroundHits) -> None:
     up = world.up
     height = (origin[0] * up[0] + origin[1] * up[1]) + origin[2] * up[2]
-    fall = -((way[0] * up[0] + way[1] * up[1]) + way[2] * up[2])
+    fall = -((displacement[0] * up[0] + displacement[1] * up[1]) + displacement[2] * up[2])
     part = np.where(fall > 0, height / np.where(fall > 0, fall, 1.0), np.inf)
-    met = np.flatnonzero((part >= 0) & (part <= 1))
-    place = origin[:, met] + way[:, met] * part[met]
-    made = Found.none(met.size)
-    made.part, made.place, made.on = part[met], place, np.full(met.size, PLANE, np.int16)
-    found.put(met, made)
+    hit_rows = np.flatnonzero((part >= 0) & (part <= 1))
+    place = origin[:, hit_rows] + displacement[:, hit_rows] * part[hit_rows]
+    plane_hits = GroundHits.none(hit_rows.size)
+    plane_hits.part, plane_hits.place, plane_hits.on = part[hit_rows], place, np.full(hit_rows.size, PLANE, np.int16)
+    hits.put(hit_rows, plane_hits)
 
 
-def _on_solid(k: int, seen: SolidFeelers, near: Rows, origin: Places, way: Places, found: Found) -> None:
-    a, w = origin[:, near], way[:, near]
+def _on_solid(
+    k: int, obstacle: SolidFeelers, near: Rows, origin: Vectors, displacement: Vectors, ground_hits: GroundHits
+) -> None:
+    a, w = origin[:, near], displacement[:, near]
     length = _length(w)
     unit = w / np.maximum(length, 1e-300)
-    hits = seen.feelers(*a, *unit, length)  # type: ignore[call-arg]
+    hits = obstacle.feelers(*a, *unit, length)  # type: ignore[call-arg]
     part = hits.t.astype(np.float64) / np.maximum(length, 1e-300)
-    met = np.flatnonzero(hits.hit & (part < found.part[near]))
-    place = a[:, met] + w[:, met] * part[met]
-    normal = np.stack([hits.nx[met], hits.ny[met], hits.nz[met]]).astype(np.float64)
-    landed = seen.volume.project(place.T, _unit_rows(normal.T), 2 * seen.volume.voxel)
-    good = landed.found
-    met = met[good]
-    made = Found.none(met.size)
-    made.part, made.place, made.on = part[met], landed.points[good].T, np.full(met.size, k, np.int16)
-    found.put(near[met], made)
+    hit_rows = np.flatnonzero(hits.hit & (part < ground_hits.part[near]))
+    place = a[:, hit_rows] + w[:, hit_rows] * part[hit_rows]
+    normal = np.stack([hits.nx[hit_rows], hits.ny[hit_rows], hits.nz[hit_rows]]).astype(np.float64)
+    landed = obstacle.volume.project(place.T, _unit_rows(normal.T), 2 * obstacle.volume.voxel)
+    good = landed.is_in_reach
+    hit_rows = hit_rows[good]
+    solid_hits = GroundHits.none(hit_rows.size)
+    solid_hits.part, solid_hits.place, solid_hits.on = part[hit_rows], landed.points[good].T, np.full(hit_rows.size, k, np.int16)
+    ground_hits.put(near[hit_rows], solid_hits)
 
 
-def _length(v: Places) -> NDArray[np.float64]:
+def _length(v: Vectors) -> NDArray[np.float64]:
     return np.asarray(np.sqrt((v[0] * v[0] + v[1] * v[1]) + v[2] * v[2]))
 
 
@@ -287,14 +296,14 @@ def _unit_rows(v: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.asarray(v / np.maximum(size, 1e-12)[:, None])
 
 
-def _box(vertices: NDArray[np.float64]) -> tuple[Places, Places]:
+def _box(vertices: NDArray[np.float64]) -> tuple[Vectors, Vectors]:
     return vertices.min(axis=0), vertices.max(axis=0)
 
 
-def _weights(place: Places, a: Places, b: Places, c: Places) -> NDArray[np.float64]:
+def _weights(place: Vectors, a: Vectors, b: Vectors, c: Vectors) -> NDArray[np.float64]:
     """The weights float64[2, k] of the second and third corner of triangles at places in them."""
     u, v, w = b - a, c - a, place - a
     uu, uv, vv, wu, wv = vec.dot(u, u), vec.dot(u, v), vec.dot(v, v), vec.dot(w, u), vec.dot(w, v)
-    whole = uu * vv - uv * uv
-    whole = np.where(whole > 0, whole, 1.0)
-    return np.stack([(vv * wu - uv * wv) / whole, (uu * wv - uv * wu) / whole])
+    determinant = uu * vv - uv * uv
+    determinant = np.where(determinant > 0, determinant, 1.0)
+    return np.stack([(vv * wu - uv * wv) / determinant, (uu * wv - uv * wu) / determinant])

@@ -29,9 +29,9 @@ def _like(name: str, array: Array, shape: Sequence[int]) -> Array:
 
 
 def _copied(name: str, array: Array) -> Array:
-    made = _like(name, array, array.shape)
-    made[...] = array
-    return made
+    copied_array = _like(name, array, array.shape)
+    copied_array[...] = array
+    return copied_array
 
 
 @dataclass(slots=True, eq=False)
@@ -93,15 +93,15 @@ class Feet:
 
     def arrays(self) -> dict[str, Array]:
         """Return the stored arrays themselves, by name."""
-        return {name: getattr(self, name) for name in KEPT}
+        return {name: getattr(self, name) for name in STORED_COLUMNS}
 
-    def take(self, before: Feet) -> None:
+    def take(self, previous_feet: Feet) -> None:
         """Copy the feet of all agents that had feet before."""
-        at = np.minimum(np.searchsorted(before.ids, self.ids), max(len(before.ids) - 1, 0))
-        known = before.ids[at] == self.ids if len(before.ids) else np.zeros(len(self.ids), np.bool_)
+        at = np.minimum(np.searchsorted(previous_feet.ids, self.ids), max(len(previous_feet.ids) - 1, 0))
+        known = previous_feet.ids[at] == self.ids if len(previous_feet.ids) else np.zeros(len(self.ids), np.bool_)
         for name, array in self.arrays().items():
             rows: tuple[Any, ...] = (slice(None),) * _AXIS.get(name, 0)
-            array[(*rows, known)] = getattr(before, name)[(*rows, at[known])]
+            array[(*rows, known)] = getattr(previous_feet, name)[(*rows, at[known])]
 
     def matched(self, ids: NDArray[np.int64]) -> tuple[Feet, NDArray[np.intp]]:
         """Return the feet of agents by ascending ids, zero for agents without earlier feet, and the rows of those agents."""
@@ -109,25 +109,25 @@ class Feet:
             return self, np.zeros(0, np.intp)
         at = np.minimum(np.searchsorted(self.ids, ids), max(len(self.ids) - 1, 0))
         known = self.ids[at] == ids if len(self.ids) else np.zeros(len(ids), np.bool_)
-        made: dict[str, Any] = {}
+        columns: dict[str, Any] = {}
         for name, array in self.arrays().items():
             axis = _AXIS.get(name, 0)
             shape = list(array.shape)
             shape[axis] = len(ids)
-            made[name] = _like(name, array, shape)
+            columns[name] = _like(name, array, shape)
             rows: tuple[Any, ...] = (slice(None),) * axis
-            made[name][(*rows, known)] = array[(*rows, at[known])]
-        found = Feet(**(made | {"ids": ids.copy()}))
+            columns[name][(*rows, known)] = array[(*rows, at[known])]
+        matched_feet = Feet(**(columns | {"ids": ids.copy()}))
         if self.covered is not None:
-            found.covered = by_leg((2, len(ids), self.legs), np.float32)
-            found.covered[:, known] = self.covered[:, at[known]]
+            matched_feet.covered = by_leg((2, len(ids), self.legs), np.float32)
+            matched_feet.covered[:, known] = self.covered[:, at[known]]
         if self.stood is not None:
-            found.stood = np.full((3, len(ids)), np.nan)
-            found.stood[:, known] = self.stood[:, at[known]]
-        return found, np.flatnonzero(~known)
+            matched_feet.stood = np.full((3, len(ids)), np.nan)
+            matched_feet.stood[:, known] = self.stood[:, at[known]]
+        return matched_feet, np.flatnonzero(~known)
 
 
-KEPT = tuple(each.name for each in fields(Feet) if each.name not in ("covered", "stood", "rows"))
+STORED_COLUMNS = tuple(each.name for each in fields(Feet) if each.name not in ("covered", "stood", "rows"))
 _AXIS = {name: 1 for name in ("place", "shown", "start", "weight", "slope", "position", "heading", "up")}
 _BY_LEG = frozenset(("place", "shown", "start", "swing", "on", "face", "weight", "found"))
 
@@ -150,15 +150,15 @@ def from_arrays(arrays: Mapping[str, Array], legs: int, ids: NDArray[np.int64]) 
     """Return the feet from arrays that `Feet.arrays` wrote. Raises ValueError if they do not describe the feet of agents with
     these ids."""
     like = Feet.none(legs).arrays()
-    found: dict[str, Any] = {}
+    columns: dict[str, Any] = {}
     for name, empty in like.items():
         array = np.asarray(arrays[name]) if name in arrays else None
         axis = _AXIS.get(name, 0)
-        wanted = list(empty.shape)
-        wanted[axis] = len(ids)
-        if array is None or array.dtype != empty.dtype or list(array.shape) != wanted:
+        expected_shape = list(empty.shape)
+        expected_shape[axis] = len(ids)
+        if array is None or array.dtype != empty.dtype or list(array.shape) != expected_shape:
             raise ValueError(f"`{name}` is missing or of another shape")
-        found[name] = _copied(name, array)
-    if not np.array_equal(found["ids"], ids):
+        columns[name] = _copied(name, array)
+    if not np.array_equal(columns["ids"], ids):
         raise ValueError("`ids` are others")
-    return Feet(**found)
+    return Feet(**columns)

@@ -40,10 +40,10 @@ STAYS, LIFTS, LANDS, SEEKS_AGAIN = 0, 1, 2, 3  # of `what` a foot does in this s
 
 Legs = Array2[F32]  # as `Gaits.legs`
 GaitTables = tuple[Array1[F32], Array2[F32], Array2[F32]]  # as `Gaits.tables`
-Places = tuple[Array3[F64], Array3[F64], Array3[F64]]  # where feet stand or land, where swings began, where feet are
+FootPlaces = tuple[Array3[F64], Array3[F64], Array3[F64]]  # where feet stand or land, where swings began, where feet are
 States = tuple[Array2[F32], Array2[I16], Array2[F32]]  # `swing`, `on` and `found` of feet
 Trunks = tuple[Array1[F32], Array1[F32], Array2[F32]]  # `phase`, `rise` and `slope`
-Columns = tuple[Places, States, Trunks]
+Columns = tuple[FootPlaces, States, Trunks]
 # For each leg: where its foot is to stand ahead and aside, after how many frames, how much of its swing will be done then, how
 # far it is from where it rests, and from the body [3, L, n]; and what it does.
 Targets = tuple[Array2[F32], Array2[F32], Array2[F32], Array2[F32], Array2[F32], Array3[F32], Array2[U8]]
@@ -53,7 +53,7 @@ Pace = tuple[Array1[F32], Array1[F32], Array1[BOOL]]  # stride, lift, and whethe
 @kernel
 def measure_cover(
     bodies: Array2[F64],
-    before: tuple[Array2[F64], Array2[F32], Array2[F32]],
+    last_pose: tuple[Array2[F64], Array2[F32], Array2[F32]],
     legs: Legs,
     new: Array1[BOOL],
     covered: Array3[F32],
@@ -63,15 +63,15 @@ def measure_cover(
     """Measure how far the resting place of each foot moved over the ground, into `covered` [2, L, n]: ahead and aside of the
     current body.
 
-    `before`: position, heading and up of bodies at the end of the last frame. Agents that are `new` cover nothing."""
-    position, heading, up = before
+    `last_pose`: position, heading and up of bodies at the end of the last frame. Agents that are `new` cover nothing."""
+    position, heading, up = last_pose
     for i in independent(begin, end):
         place, ahead, _, aside, size = body_at(bodies, i)
         forward = np.float64(heading[0, i]), np.float64(heading[1, i]), np.float64(heading[2, i])
         above = np.float64(up[0, i]), np.float64(up[1, i]), np.float64(up[2, i])
         ahead_before, _, aside_before = orthonormal_axes(forward, above)
-        way = minus((position[0, i], position[1, i], position[2, i]), place)
-        away = way[0] / size, way[1] / size, way[2] / size
+        displacement = minus((position[0, i], position[1, i], position[2, i]), place)
+        away = displacement[0] / size, displacement[1] / size, displacement[2] / size
         moved_x, along_x, across_x = _F(dot(away, ahead)), _F(dot(ahead_before, ahead)), _F(dot(aside_before, ahead))
         moved_z, along_z, across_z = _F(dot(away, aside)), _F(dot(ahead_before, aside)), _F(dot(aside_before, aside))
         for leg in range(legs.shape[1]):
@@ -106,30 +106,32 @@ def plan_steps(
     count = legs.shape[1]
     dt, rests, swings, shortest = times
     place, start, _ = feet[0]
-    swing, on, found = feet[1]
+    swing, on, rest_offset = feet[1]
     phase, rise, slope = feet[2]
     target_x, target_z, left, share, off, at, what = targets
     stride, lift, slow = pace
     for i in independent(begin, end):
         body = body_at(bodies, i)
         lean, raised = (slope[0, i], slope[1, i]), rise[i] / _F(body.size)
-        went = _ZERO
+        frame_distance = _ZERO
         for leg in range(count):
-            went = went + np.sqrt(covered[0, leg, i] * covered[0, leg, i] + covered[1, leg, i] * covered[1, leg, i])
-        went = went / _F(max(1, count))
-        gait, long, duty, high = gait_at(gaits, went / dt, went, shortest)
+            frame_distance = frame_distance + np.sqrt(
+                covered[0, leg, i] * covered[0, leg, i] + covered[1, leg, i] * covered[1, leg, i]
+            )
+        frame_distance = frame_distance / _F(max(1, count))
+        gait, long, duty, high = gait_at(gaits, frame_distance / dt, frame_distance, shortest)
         stride[i], lift[i] = long, high
-        ahead = went / long
+        ahead = frame_distance / long
         still = ahead < _SLOW
         slow[i] = still
         restless, stands = False, True
         for leg in range(count):
-            here = to_body(body, (place[0, leg, i], place[1, leg, i], place[2, leg, i]))
-            at[0, leg, i], at[1, leg, i], at[2, leg, i] = here
-            away = _off(legs, leg, here, _hip(legs, leg, lean, raised))
+            local_foot = to_body(body, (place[0, leg, i], place[1, leg, i], place[2, leg, i]))
+            at[0, leg, i], at[1, leg, i], at[2, leg, i] = local_foot
+            away = _off(legs, leg, local_foot, _hip(legs, leg, lean, raised))
             off[leg, i] = away
             down = swing[leg, i] == STANDS
-            if swing[leg, i] >= _ZERO or (down and away > legs[OFF, leg] + found[leg, i]):
+            if swing[leg, i] >= _ZERO or (down and away > legs[OFF, leg] + rest_offset[leg, i]):
                 restless = True
             if not down or not away <= legs[OFF, leg]:
                 stands = False
@@ -139,54 +141,58 @@ def plan_steps(
         # An agent that starts from standing lifts the foot with the next turn at once: no foot waits until it is left behind.
         gap = _F(np.inf)
         for leg in range(count):
-            before = _fraction(phase[i] + gaits[2][gait, leg])
-            wait = duty - before
+            leg_phase = _fraction(phase[i] + gaits[2][gait, leg])
+            wait = duty - leg_phase
             wait = wait if wait > _ZERO else wait + _ONE
             gap = min(gap, wait)
         advance = gap + _AT_ONCE if stands and not still and gap > ahead else ahead
         rate = min(max(ahead / (_ONE - duty), swings), _ONE)
         stance = max(_ONE / max(ahead, _LEAST) - _ONE / rate, _ZERO)  # frames that a foot will stand
         for leg in range(count):
-            here = at[0, leg, i], at[1, leg, i], at[2, leg, i]
+            local_foot = at[0, leg, i], at[1, leg, i], at[2, leg, i]
             hip = _hip(legs, leg, lean, raised)
-            x, z = here[0] - legs[REST_X, leg], here[2] - legs[REST_Z, leg]
+            x, z = local_foot[0] - legs[REST_X, leg], local_foot[2] - legs[REST_Z, leg]
             cover_x, cover_z = covered[0, leg, i], covered[1, leg, i]
-            before = _fraction(phase[i] + gaits[2][gait, leg])
-            after = before + advance
-            crosses = (before < duty and after >= duty) or after >= _ONE + duty
+            leg_phase = _fraction(phase[i] + gaits[2][gait, leg])
+            next_phase = leg_phase + advance
+            crosses = (leg_phase < duty and next_phase >= duty) or next_phase >= _ONE + duty
             # A foot missed its turn, as the gait changed or something else moved it: behind where it rests, in time to swing.
             behind = x * cover_x + z * cover_z < _ZERO
-            late = before >= duty and before < duty + _LATE * (_ONE - duty)
+            late = leg_phase >= duty and leg_phase < duty + _LATE * (_ONE - duty)
             late = late and behind and off[leg, i] > _BEHIND * legs[REACH, leg]
-            due = (crosses or late) and (not still or off[leg, i] > _HALF * legs[OFF, leg] + found[leg, i])
-            lost = off[leg, i] > _LEFT * legs[REACH, leg] or undermined[leg, i] or _is_too_far(legs, leg, here, hip, _STRETCHED)
+            due = (crosses or late) and (not still or off[leg, i] > _HALF * legs[OFF, leg] + rest_offset[leg, i])
+            lost = (
+                off[leg, i] > _LEFT * legs[REACH, leg]
+                or undermined[leg, i]
+                or _is_too_far(legs, leg, local_foot, hip, _STRETCHED)
+            )
             down = swing[leg, i] == STANDS
             lifts = down and (due or lost)
             flies = lifts or swing[leg, i] >= _ZERO
             if lifts:
                 for axis in range(3):
                     start[axis, leg, i] = place[axis, leg, i]
-            done, more = STANDS, rate
+            progress, increment = STANDS, rate
             frames = _ZERO
             if flies:
-                over = after - duty
+                over = next_phase - duty
                 over = over - _ONE if over >= _ONE else over
                 if lifts and crosses and over >= _ZERO:
-                    more = over / (_ONE - duty)
-                done = min((_ZERO if lifts else swing[leg, i]) + more, _ONE)
-                frames = (_ONE - done) / rate
+                    increment = over / (_ONE - duty)
+                progress = min((_ZERO if lifts else swing[leg, i]) + increment, _ONE)
+                frames = (_ONE - progress) / rate
             half_x, half_z = min(stance, _LONG) * cover_x * _HALF, min(stance, _LONG) * cover_z * _HALF
             by = min(_ONE, legs[REACH, leg] / max(np.sqrt(half_x * half_x + half_z * half_z), _TINY))
             to_x = legs[REST_X, leg] + cover_x * frames + half_x * by
             to_z = legs[REST_Z, leg] + cover_z * frames + half_z * by
-            lands = flies and done >= _ONE
-            past = ((_ZERO if lifts else swing[leg, i]) + more - _ONE if lands else _ZERO) / rate  # frames ago
+            lands = flies and progress >= _ONE
+            past = ((_ZERO if lifts else swing[leg, i]) + increment - _ONE if lands else _ZERO) / rate  # frames ago
             to_x, to_z = to_x - cover_x * past, to_z - cover_z * past
-            target_x[leg, i], target_z[leg, i], left[leg, i], share[leg, i] = to_x, to_z, frames, done
-            miss_x, miss_z = here[0] - to_x, here[2] - to_z
+            target_x[leg, i], target_z[leg, i], left[leg, i], share[leg, i] = to_x, to_z, frames, progress
+            miss_x, miss_z = local_foot[0] - to_x, local_foot[2] - to_z
             most = legs[OFF, leg] if still else _AGAIN * legs[LENGTH, leg]
             again = miss_x * miss_x + miss_z * miss_z > most * most or on[leg, i] == NOTHING
-            again = lands and (again or _is_too_far(legs, leg, here, hip, _REACHED))
+            again = lands and (again or _is_too_far(legs, leg, local_foot, hip, _REACHED))
             what[leg, i] = (SEEKS_AGAIN if again else LANDS) if lands else (LIFTS if lifts else STAYS)
         phase[i] = _fraction(phase[i] + advance)
     many = 0
@@ -216,8 +222,8 @@ def take_steps(
     difference from the height at rest. `last`: receives position, heading and up of bodies for the next frame."""
     count = legs.shape[1]
     slower, faster, highest = trunk_steps
-    place, start, shown = feet[0]
-    swing, on, found = feet[1]
+    place, start, current_place = feet[0]
+    swing, on, rest_offset = feet[1]
     _, rise, slope = feet[2]
     share, at, what = targets[3], targets[5], targets[6]
     stride, lift, slow = pace
@@ -228,12 +234,12 @@ def take_steps(
         for leg in range(count):
             lands = what[leg, i] >= LANDS
             swing[leg, i] = STANDS if lands and on[leg, i] != NOTHING else share[leg, i]
-            here = to_body(body, (place[0, leg, i], place[1, leg, i], place[2, leg, i]))
-            at[0, leg, i], at[1, leg, i], at[2, leg, i] = here
+            local_foot = to_body(body, (place[0, leg, i], place[1, leg, i], place[2, leg, i]))
+            at[0, leg, i], at[1, leg, i], at[2, leg, i] = local_foot
             if not slow[i]:
-                found[leg, i] = _ZERO
+                rest_offset[leg, i] = _ZERO
             elif lands:
-                found[leg, i] = _off(legs, leg, here, _hip(legs, leg, lean, raised))
+                rest_offset[leg, i] = _off(legs, leg, local_foot, _hip(legs, leg, lean, raised))
         height, ahead, aside = trunk.fit_plane(at, on, count, i)
         height = min(max(height, -highest), highest)
         tilt = lean[0] + (ahead - lean[0]) * slower, lean[1] + (aside - lean[1]) * slower
@@ -241,23 +247,23 @@ def take_steps(
         high = trunk.lower(at, swing, legs, raised, tilt, -highest, i) * size
         torn = False
         for leg in range(count):
-            here = at[0, leg, i], at[1, leg, i], at[2, leg, i]
-            if swing[leg, i] == STANDS and _is_too_far(legs, leg, here, _hip(legs, leg, tilt, high / size), _STRETCHED):
+            local_foot = at[0, leg, i], at[1, leg, i], at[2, leg, i]
+            if swing[leg, i] == STANDS and _is_too_far(legs, leg, local_foot, _hip(legs, leg, tilt, high / size), _STRETCHED):
                 torn = True
         if not torn:  # else the trunk stays as it was, where all standing feet are in reach
             rise[i], slope[0, i], slope[1, i] = high, tilt[0], tilt[1]
         lean, raised = (slope[0, i], slope[1, i]), rise[i] / size
         for leg in range(count):
             if swing[leg, i] >= _ZERO:
-                before = to_body(body, (start[0, leg, i], start[1, leg, i], start[2, leg, i]))
-                here = at[0, leg, i], at[1, leg, i], at[2, leg, i]
+                swing_start = to_body(body, (start[0, leg, i], start[1, leg, i], start[2, leg, i]))
+                local_foot = at[0, leg, i], at[1, leg, i], at[2, leg, i]
                 hip = _hip(legs, leg, lean, raised)
-                x, y, z = _swung(legs, leg, (before, here, hip), swing[leg, i], stride[i], lift[i])
+                x, y, z = _swung(legs, leg, (swing_start, local_foot, hip), swing[leg, i], stride[i], lift[i])
                 foot = to_world(body, x, y, z)
-                shown[0, leg, i], shown[1, leg, i], shown[2, leg, i] = foot
+                current_place[0, leg, i], current_place[1, leg, i], current_place[2, leg, i] = foot
             else:
                 for axis in range(3):
-                    shown[axis, leg, i] = place[axis, leg, i]
+                    current_place[axis, leg, i] = place[axis, leg, i]
         for axis in range(3):
             last[0][axis, i] = bodies[axis, i]
             last[1][axis, i], last[2][axis, i] = _F(bodies[3 + axis, i]), _F(bodies[6 + axis, i])
@@ -277,38 +283,38 @@ def _hip(legs: Any, leg: Any, slope: Any, raised: Any) -> Any:
 
 
 @inlined
-def _off(legs: Any, leg: Any, here: Any, hip: Any) -> Any:
+def _off(legs: Any, leg: Any, local_foot: Any, hip: Any) -> Any:
     """Return how far a foot is from its resting place: the lesser of its distance along the ground and its distance from the
     straight line from the hip through that place."""
     rest_x, rest_z = legs[REST_X, leg], legs[REST_Z, leg]
-    x, z = here[0] - rest_x, here[2] - rest_z
-    by = hip[1] / max(hip[1] - here[1], _LOWEST * legs[LENGTH, leg])
-    a, c = hip[0] + (here[0] - hip[0]) * by - rest_x, hip[2] + (here[2] - hip[2]) * by - rest_z
+    x, z = local_foot[0] - rest_x, local_foot[2] - rest_z
+    by = hip[1] / max(hip[1] - local_foot[1], _LOWEST * legs[LENGTH, leg])
+    a, c = hip[0] + (local_foot[0] - hip[0]) * by - rest_x, hip[2] + (local_foot[2] - hip[2]) * by - rest_z
     return np.sqrt(min(x * x + z * z, a * a + c * c))
 
 
 @inlined
-def _is_too_far(legs: Any, leg: Any, here: Any, hip: Any, most: Any) -> Any:
+def _is_too_far(legs: Any, leg: Any, local_foot: Any, hip: Any, most: Any) -> Any:
     """Return whether a foot is farther from its hip than `most` of its leg length, with the trunk as low as allowed."""
     length = legs[LENGTH, leg]
-    x, z = here[0] - hip[0], here[2] - hip[2]
-    y = here[1] - hip[1] + legs[FOOT_Y, leg]
+    x, z = local_foot[0] - hip[0], local_foot[2] - hip[2]
+    y = local_foot[1] - hip[1] + legs[FOOT_Y, leg]
     high = max(abs(y) - (_SINK * length if y < _ZERO else _ZERO), _ZERO)
     far = most * length
     return (x * x + high * high) + z * z > far * far
 
 
 @inlined
-def _swung(legs: Any, leg: Any, ends: Any, done: Any, stride: Any, lift: Any) -> Any:
+def _swung(legs: Any, leg: Any, ends: Any, progress: Any, stride: Any, lift: Any) -> Any:
     """Return the position of a foot on its arc, no farther from its hip than its leg reaches."""
-    before, here, hip = ends
-    eased = done * done * (_THREE - _TWO * done)
-    dx, dy, dz = here[0] - before[0], here[1] - before[1], here[2] - before[2]
+    swing_start, local_foot, hip = ends
+    eased = progress * progress * (_THREE - _TWO * progress)
+    dx, dy, dz = local_foot[0] - swing_start[0], local_foot[1] - swing_start[1], local_foot[2] - swing_start[2]
     far = np.sqrt((dx * dx + dy * dy) + dz * dz)
-    arc = lift * min(_ONE, far / (stride * _SMALL)) * (_FOUR * done * (_ONE - done))
+    arc = lift * min(_ONE, far / (stride * _SMALL)) * (_FOUR * progress * (_ONE - progress))
     # The foot joint is above the ground of its foot, so the hip is lowered by as much to measure from.
     a, b, c = hip[0], hip[1] - legs[FOOT_Y, leg], hip[2]
-    x, y, z = before[0] + dx * eased - a, before[1] + dy * eased + arc - b, before[2] + dz * eased - c
+    x, y, z = swing_start[0] + dx * eased - a, swing_start[1] + dy * eased + arc - b, swing_start[2] + dz * eased - c
     long = np.sqrt((x * x + y * y) + z * z)
     by = min(_ONE, legs[LENGTH, leg] * _REACHED / max(long, _TINY))
     return a + x * by, b + y * by, c + z * by

@@ -46,10 +46,10 @@ def fit_plane(points: Any, held: Any, legs: Any, i: Any) -> Any:
         z = (points[2, leg, i] - mean_z) * weight
         xx, zz, xz, xy, zy = xx + x * x, zz + z * z, xz + x * z, xy + x * y, zy + z * y
     xx, zz, xz, xy, zy = xx * per + _STIFF, zz * per + _STIFF, xz * per, xy * per, zy * per
-    whole = xx * zz - xz * xz
+    determinant = xx * zz - xz * xz
     ahead, aside = _ZERO, _ZERO
     if count >= _PLANE:
-        ahead, aside = (zz * xy - xz * zy) / whole, (xx * zy - xz * xy) / whole
+        ahead, aside = (zz * xy - xz * zy) / determinant, (xx * zy - xz * xy) / determinant
     by = min(_ONE, STEEPEST / max(np.sqrt(ahead * ahead + aside * aside), _FLAT))
     ahead, aside = ahead * by, aside * by
     height = (mean_y - ahead * mean_x) - aside * mean_z if count > _ZERO else _ZERO

@@ -18,7 +18,7 @@ from antdsl.runtime.world import Population, World
 from antdsl.scene.setting import LegsData
 
 _F = np.float32
-_GONE = 0.02  # of a leg: a solid that is so much farther from a foot than it was has been dug away below it
+_DUG_SHARE = 0.02  # of a leg: a solid that is so much farther from a foot than it was has been dug away below it
 _GOLDEN = 0.6180339887498949  # of a cycle between the phases at birth of agents with successive ids
 _AGENTS = 256  # for which a thread pays
 
@@ -55,8 +55,8 @@ def measure(world: World) -> None:
         if n:
             is_new = np.zeros(n, np.bool_)
             is_new[new] = True
-            before = feet.position, feet.heading, feet.up
-            work = partial(stepping.measure_cover, bodies, before, walkers.gaits.legs, is_new, _legs_first(feet.covered))
+            last_pose = feet.position, feet.heading, feet.up
+            work = partial(stepping.measure_cover, bodies, last_pose, walkers.gaits.legs, is_new, _legs_first(feet.covered))
             parallel.in_parts(work, n, world.options.threads, _AGENTS)
 
 
@@ -84,18 +84,18 @@ class _Step:
         feet, (n, legs) = self.feet, self.feet.swing.shape
         if feet.covered is None:
             feet.covered = by_leg((2, n, legs), np.float32)
-        places = tuple(_legs_first(each) for each in (feet.place, feet.start, feet.shown))
+        place_columns = tuple(_legs_first(each) for each in (feet.place, feet.start, feet.shown))
         states = tuple(_legs_first(each) for each in (feet.swing, feet.on, feet.found))
         self.covered = _legs_first(feet.covered)
-        self.columns = places, states, (feet.phase, feet.rise, feet.slope)
-        singles = population.room("feet", 5, (legs, n), np.float32)
-        (points,) = population.room("feet from bodies", 1, (3, legs, n), np.float32)
-        (what,) = population.room("what feet do", 1, (legs, n), np.uint8)
+        self.columns = place_columns, states, (feet.phase, feet.rise, feet.slope)
+        singles = population.get_buffers("feet", 5, (legs, n), np.float32)
+        (points,) = population.get_buffers("feet from bodies", 1, (3, legs, n), np.float32)
+        (what,) = population.get_buffers("what feet do", 1, (legs, n), np.uint8)
         self.targets = (*singles, points, what)
-        pace = population.room("paces", 2, (n,), np.float32)
-        self.pace = (*pace, *population.room("slow", 1, (n,), np.bool_))
-        (self.undermined,) = population.room("undermined", 1, (legs, n), np.bool_)
-        (self.requests,) = population.room("requests of feet", 1, (n * legs,), np.int64)
+        pace = population.get_buffers("paces", 2, (n,), np.float32)
+        self.pace = (*pace, *population.get_buffers("slow", 1, (n,), np.bool_))
+        (self.undermined,) = population.get_buffers("undermined", 1, (legs, n), np.bool_)
+        (self.requests,) = population.get_buffers("requests of feet", 1, (n * legs,), np.int64)
 
     def run(self) -> None:
         """All feet by one frame."""
@@ -106,8 +106,8 @@ class _Step:
             self._find_undermined()
             self._plan()
             last = feet.position, feet.heading, feet.up
-            given = self.bodies, self.gaits.legs, self._trunk_steps(), self.columns, self.pace, self.targets, last
-            parallel.in_parts(partial(stepping.take_steps, *given), n, self.threads, _AGENTS)
+            step_inputs = self.bodies, self.gaits.legs, self._trunk_steps(), self.columns, self.pace, self.targets, last
+            parallel.in_parts(partial(stepping.take_steps, *step_inputs), n, self.threads, _AGENTS)
         feet.covered = feet.stood = None
 
     def _follow_ground(self) -> None:
@@ -116,8 +116,8 @@ class _Step:
         if self.floor.moving:
             self.floor.carried(self.world, feet.on, feet.face, feet.weight, feet.place)
             if feet.stood is not None:
-                way = self.bodies[PLACE : PLACE + 3] - feet.stood
-                feet.start += np.where(np.isfinite(way), way, 0.0)[:, :, None]
+                displacement = self.bodies[PLACE : PLACE + 3] - feet.stood
+                feet.start += np.where(np.isfinite(displacement), displacement, 0.0)[:, :, None]
 
     def _stand(self) -> None:
         """Let newborn agents stand with their feet at rest, each at a different phase."""
@@ -142,28 +142,28 @@ class _Step:
             rows = feet.on == k if volume is not None and volume.removed > 0 else None
             if volume is not None and rows is not None and rows.any():
                 length = self.walkers.legs.length.astype(np.float32) * self.bodies[-1][:, None]
-                gap = np.maximum(_GONE * length[rows], 0.02 * volume.voxel)
+                gap = np.maximum(_DUG_SHARE * length[rows], 0.02 * volume.voxel)
                 _legs_first(self.undermined)[rows] = volume.sample(feet.place[:, rows].T) > gap
 
     def _plan(self) -> None:
         gaits, dt = self.gaits, self.dt
         times = dt, dt / _F(gaits.cycle), dt / _F(gaits.swing), gaits.least_reach
-        given = (
+        plan_inputs = (
             self.bodies, self.covered, gaits.legs, gaits.tables, times, self.undermined, self.columns,
             self.pace, self.targets, self.requests,
         )  # fmt: skip
-        parts = parallel.in_parts(partial(stepping.plan_steps, *given), len(self.feet), self.threads, _AGENTS)
+        parts = parallel.in_parts(partial(stepping.plan_steps, *plan_inputs), len(self.feet), self.threads, _AGENTS)
         self._seek(parallel.joined(parts, self.requests)[0])
 
     def _seek(self, requests: NDArray[np.int64]) -> None:
         """Find ground for feet. A request is the number of the agent times L plus that of the leg."""
         if requests.size:
             feet, gaits, targets = self.feet, self.gaits, self.targets
-            given = (self.bodies, self.covered, (gaits.legs, gaits.exact), self.columns[2], targets[:3], targets[-1])
-            seeking = Seeking.of(requests, given, self.threads)
-            found = seek(self.world, self.floor, seeking)
+            aim_inputs = (self.bodies, self.covered, (gaits.legs, gaits.exact), self.columns[2], targets[:3], targets[-1])
+            seeking = Seeking.of(requests, aim_inputs, self.threads)
+            hits = seek(self.world, self.floor, seeking)
             columns = tuple(_legs_first(each) for each in (feet.place, feet.on, feet.face, feet.weight))
-            seeking.settle(found, columns, self.threads)
+            seeking.settle(hits, columns, self.threads)
 
     def _trunk_steps(self) -> tuple[np.float32, np.float32, np.float32]:
         dt, legs = float(self.dt), self.walkers.legs

@@ -52,7 +52,7 @@ from antdsl.runtime.moving.velocities import (
     arrive,
     share,
 )
-from antdsl.runtime.moving.walks import is_led, led, walks_of
+from antdsl.runtime.moving.walks import is_led, lead_walkers, walks_of
 from antdsl.runtime.world import Population, World
 
 LEAST = "min_speed"  # a register of those species alone that ask for it
@@ -68,7 +68,7 @@ def move(world: World, population: Population, substep: int) -> None:
     dt = _F(world.dt / world.setting.substeps)
     others = world.setting.orient != "normal"
     crowd = _Crowd.of(world, population, dt, others)
-    before = (vec.copy(crowd.registers[1]), vec.copy(crowd.registers[3]), population.normal) if others else None
+    previous_pose = (vec.copy(crowd.registers[1]), vec.copy(crowd.registers[3]), population.normal) if others else None
     crowd.set_out(substep)
     crowd.pass_obstacles()
     _, _, heading, up = crowd.registers
@@ -78,30 +78,30 @@ def move(world: World, population: Population, substep: int) -> None:
     parallel.in_parts(work, n, threads)
     came_from = population.position
     crowd.walk(world.ground)
-    if before is not None:
-        orient(world, population, *before)
-    previous, limits = Posture(*crowd.kept, came_from), TurnLimits(crowd.most, population.now["max_turn"], dt)
-    (rows,) = population.room("following", 1, (n,), np.int64)
+    if previous_pose is not None:
+        orient(world, population, *previous_pose)
+    previous, limits = Posture(*crowd.previous_axes, came_from), TurnLimits(crowd.most, population.now["max_turn"], dt)
+    (rows,) = population.get_buffers("following", 1, (n,), np.int64)
     work = partial(follow, crowd.state, previous, population.position, limits, tuple(walls), half, RAISED, up, heading, rows)
     parallel.in_parts(work, n, threads)
 
 
 @dataclass(slots=True)
 class _Crowd:
-    """A crowd on its way for `dt` of `whole` seconds: its registers position, velocity, heading and up, and the results of
-    kernels, see `strides`. `kept`: buffers for the previous up and heading of agents that must follow their feet afterwards. With
-    `everyone`, all agents are such."""
+    """A crowd on its way for `dt` of `frame_time` seconds: its registers position, velocity, heading and up, and the results of
+    kernels, see `strides`. `previous_axes`: buffers for the previous up and heading of agents that must follow their feet
+    afterwards. With `everyone`, all agents are such."""
 
     world: World
     population: Population
     dt: np.float32
-    whole: np.float32
+    frame_time: np.float32
     everyone: bool
     registers: tuple[Vector, Vector, Vector, Vector]
     velocity: Vector
     step: Vector
     looking: Vector
-    kept: tuple[Vector, Vector]
+    previous_axes: tuple[Vector, Vector]
     long: NDArray[np.float32]
     most: NDArray[np.float32]
     reach: NDArray[np.float64]
@@ -113,12 +113,15 @@ class _Crowd:
     def of(world: World, population: Population, dt: np.float32, everyone: bool) -> _Crowd:
         """A crowd before it sets out."""
         now, n = population.now, len(population)
-        room = population.room("on the way", 17, (n,), np.float32)
-        (reach,), (state,) = population.room("reach", 1, (n,), np.float64), population.room("state", 1, (n,), np.int32)
+        buffer = population.get_buffers("on the way", 17, (n,), np.float32)
+        (reach,), (state,) = (
+            population.get_buffers("reach", 1, (n,), np.float64),
+            population.get_buffers("state", 1, (n,), np.int32),
+        )
         registers = tuple(vec.named(now, name) for name in ("position", "velocity", "heading", "up"))
-        velocity, step, looking, up, heading = (room[k : k + 3] for k in range(0, 15, 3))
-        given = (registers, velocity, step, looking, (up, heading), *room[15:], reach, state)
-        return _Crowd(world, population, dt, _F(world.dt), everyone, *given)  # type: ignore[arg-type]
+        velocity, step, looking, up, heading = (buffer[k : k + 3] for k in range(0, 15, 3))
+        columns = (registers, velocity, step, looking, (up, heading), *buffer[15:], reach, state)
+        return _Crowd(world, population, dt, _F(world.dt), everyone, *columns)  # type: ignore[arg-type]
 
     @property
     def threads(self) -> int:
@@ -126,20 +129,20 @@ class _Crowd:
 
     def set_out(self, substep: int) -> None:
         """Compute the intended motion of all agents, without obstacles."""
-        p, now, whole = self.population, self.population.now, self.whole
+        p, now, frame_time = self.population, self.population.now, self.frame_time
         drive = Drive(vec.named(now, "push"), *self.registers[1:], p.normal)
         abilities = Abilities(now["max_speed"], now["max_force"], now["mass"], now["response"], now["max_turn"])
         keeps = LEAST in now
         least = now[LEAST] if keeps else now["max_speed"]
-        times = PushTimes(whole * AT_ONCE, whole if substep == 0 else _F(0), self.dt)
+        times = PushTimes(frame_time * AT_ONCE, frame_time if substep == 0 else _F(0), self.dt)
         outset = Outset(self.velocity, self.step, self.looking, self.long, self.most, self.reach, self.state)
         work = partial(set_out, drive, abilities, keeps, least, now["size"], p.quarantined, times, outset)
-        found = parallel.in_parts(work, len(p), self.threads, parallel.LIGHT)
-        self.longest, self.widest = found[0] if len(found) == 1 else map(max, zip(*found, strict=True))
+        results = parallel.in_parts(work, len(p), self.threads, parallel.LIGHT)
+        self.longest, self.widest = results[0] if len(results) == 1 else map(max, zip(*results, strict=True))
         if self.widest == -inf:
             self.widest = nan
         if walks_of(self.world, p):
-            velocity = led(self.world, p, self.velocity, vec.columns(p.normal, np.float32))
+            velocity = lead_walkers(self.world, p, self.velocity, vec.columns(p.normal, np.float32))
             zero = np.zeros(len(p), np.float32)
             self.velocity = vec.choose(p.quarantined, (zero, zero, zero), velocity)
             self.step = vec.scale(self.velocity, self.dt)
@@ -151,10 +154,10 @@ class _Crowd:
         world, p = self.world, self.population
         if not world.plan.of_kind("obstacle"):
             return
-        wanted, up = self.step, p.normal.T
-        step = no_slower(world, p, slide(world, p, wanted, up, p.now["radius"]), up, self.dt)
-        if step is not wanted:
-            work = partial(slowed, wanted, step, self.velocity, _F(1) / self.dt)
+        intended_step, up = self.step, p.normal.T
+        step = no_slower(world, p, slide(world, p, intended_step, up, p.now["radius"]), up, self.dt)
+        if step is not intended_step:
+            work = partial(slowed, intended_step, step, self.velocity, _F(1) / self.dt)
             parallel.in_parts(work, len(p), self.threads, parallel.LIGHT)
             self.step = step
 
@@ -162,9 +165,9 @@ class _Crowd:
         """Walk over a ground to new positions, and update the agents there."""
         now = self.population.now
         limits = Limits(now["max_speed"], now["max_turn"], now["response"])
-        times = Times(self.whole * AT_ONCE, self.dt, share(self.dt))
+        times = Times(self.frame_time * AT_ONCE, self.dt, share(self.dt))
         facing = Facing(FACE in now, vec.named(now, "~face") if FACE in now else self.registers[1], self.everyone)
-        bodies, registers = Bodies(self.most, self.state, *self.kept), Registers._make(self.registers)
+        bodies, registers = Bodies(self.most, self.state, *self.previous_axes), Registers._make(self.registers)
         normals, old = np.empty((len(self.population), 3), np.float32), self.population.position
         arrival = Arrival(old, self.step, self.velocity, limits, bodies, times, facing, registers, normals)
         if isinstance(ground, Plane):
@@ -189,10 +192,13 @@ class _Crowd:
         to = Footing.on_faces(np.empty(n, np.int32), np.empty(n, np.int32), *np.empty((3, n)))
         at, placed = Placed._make(_ON_FACES(p.footing.columns)), Placed._make(_ON_FACES(to.columns))
         place = np.empty((3, n))
-        (how,) = p.room("how", 1, (n,), np.uint8)
-        (reals,), (wholes,) = p.room("reals", 1, (loop.REALS, n), np.float64), p.room("wholes", 1, (loop.WHOLES, n), np.int64)
-        given, held = (at, p.now["size"], p.normal, self.looking), Held(reals, wholes, how)
-        work = partial(stride, *tables, *given, arrival, held, placed, place)
+        (how,) = p.get_buffers("how", 1, (n,), np.uint8)
+        (reals,), (wholes,) = (
+            p.get_buffers("reals", 1, (loop.REALS, n), np.float64),
+            p.get_buffers("wholes", 1, (loop.WHOLES, n), np.int64),
+        )
+        stride_inputs, held = (at, p.now["size"], p.normal, self.looking), Held(reals, wholes, how)
+        work = partial(stride, *tables, *stride_inputs, arrival, held, placed, place)
         parts = parallel.in_parts(work, n, self.threads)
         if any([waiting or left for _, waiting, left in parts]):
             self._later(ground, arrival, walk, Waiting.of(parts, reals, wholes), to, place, how)
@@ -212,13 +218,13 @@ class _Crowd:
         """Move agents that come to something other than the next face of their surface, and those without a footing or with NaN
         values. Then update their arrival."""
         p, n = self.population, len(self.population)
-        above, ahead, direction = p.room("walked", 3, (3, n), np.float64)
-        (gone,), (blocked,) = p.room("gone", 1, (n,), np.float64), p.room("blocked", 1, (n,), np.bool_)
-        placed, moved = Placed._make(_ON_FACES(to.columns)), Moved(place, above, ahead, direction, gone)
+        above, ahead, direction = p.get_buffers("walked", 3, (3, n), np.float64)
+        (distance,), (blocked,) = p.get_buffers("gone", 1, (n,), np.float64), p.get_buffers("blocked", 1, (n,), np.bool_)
+        placed, moved = Placed._make(_ON_FACES(to.columns)), Moved(place, above, ahead, direction, distance)
         rows = walk.on(waiting, how, placed, moved, blocked, self.threads)
         if waiting.left:
-            others = np.flatnonzero(how != loop.DONE)
-            result = Move(to, place.T, above.T, ahead.T, direction.T, gone, blocked, np.zeros(n, np.bool_))
+            others = np.flatnonzero(how != loop.ENDS)
+            result = Move(to, place.T, above.T, ahead.T, direction.T, distance, blocked, np.zeros(n, np.bool_))
             result.put(others, self._moved(ground, others))
             rows = np.union1d(rows, others)
         if len(rows):
@@ -253,9 +259,9 @@ def no_slower(world: World, population: Population, step: Vector, up: Columns, d
     now = population.now
     if LEAST not in now or not world.plan.of_kind("obstacle"):
         return step
-    size, wanted = vec.length(step), np.minimum(np.maximum(now[LEAST], _F(0)), np.maximum(now["max_speed"], _F(0))) * dt
-    short = (size > _F(1e-9)) & (size < wanted * _F(0.999)) & ~population.quarantined & ~is_led(world, population)
+    size, least_length = vec.length(step), np.minimum(np.maximum(now[LEAST], _F(0)), np.maximum(now["max_speed"], _F(0))) * dt
+    short = (size > _F(1e-9)) & (size < least_length * _F(0.999)) & ~population.quarantined & ~is_led(world, population)
     if not short.any():
         return step
-    longer = vec.scale(step, np.where(short, wanted / np.where(size > 0, size, _F(1)), _F(0)))
+    longer = vec.scale(step, np.where(short, least_length / np.where(size > 0, size, _F(1)), _F(0)))
     return vec.choose(short, slide(world, population, longer, up, now["radius"]), step)

@@ -24,15 +24,15 @@ from antdsl.machine_code.kernels import (
 from antdsl.numerics.kernel_vectors import Vec3, VectorColumns, dot, minus, of, plus, times
 from antdsl.numerics.sorting import listed
 
-_SEEN = 1.6  # radii: how far beyond its axis an agent is looked about, more than one since it will yet be moved
-_ABOUT = 1.5  # widths that two are apart, up to which they may yet meet
+_SEARCH_RADII = 1.6  # radii: how far beyond its axis an agent is looked about, more than one since it will yet be moved
+_PROCESS = 1.5  # widths that two are apart, up to which they may yet meet
 _OPPOSITE = -0.5  # cosine between two ways of standing, below which agents are on two sides of something
 _NOWHERE = 1e-6  # of a width: so near each other, two axes give no direction
 _ZERO = np.float32(0)
 _TOGETHER = 64  # agents with bounds computed in SIMD lanes
 _NOTHING = np.repeat([np.inf, -np.inf, 0.0], [4 * _TOGETHER, 4 * _TOGETHER, _TOGETHER]).reshape(9, _TOGETHER)
 _FETCHED = 32  # pairs of which the rows are prefetched before they are measured
-_KEPT, _LOST = 1, 2  # flags of a pair: it may touch; it has no separation axis
+_MAY_MEET, _LOST = 1, 2  # flags of a pair: it may touch; it has no separation axis
 _BESIDE, _INSIDE = 1, 2  # what is known of a row: that it is near one that is in another, and that it is
 
 
@@ -112,10 +112,10 @@ def trunks(
     shape: Shape,
     first: I64,
     to: Trunks,
-    seen: Array2[F64],
+    extremes: Array2[F64],
 ) -> Bounds:
     """Compute the capsules of a species with positions (3, n), stored from `first` on. Returns the bounds of these and earlier
-    species. `seen` (9, 64): partial bounds, one column for every 64th agent; `nothing_seen` at first."""
+    species. `extremes` (9, 64): partial bounds, one column for every 64th agent; `nothing_seen` at first."""
     length, width, height, ahead = shape
     half, radius, shift, reach, middle = to
     for begin in range(0, size.size, _TOGETHER):
@@ -124,22 +124,22 @@ def trunks(
             wide = np.float64(_ZERO if size[i] <= 0 else size[i])
             radius[row] = wide * width * 0.5
             half[row] = max(wide * length * 0.5 - radius[row], 0.0)
-            reach[row] = half[row] + radius[row] * _SEEN
+            reach[row] = half[row] + radius[row] * _SEARCH_RADII
             high, shift[row] = wide * height, wide * ahead
             above, forward = _single(up, i), _single(heading, i)
             for k in range(3):
                 middle[k, row] = (place[k, i] + above[k] * high) + forward[k] * shift[row]
             numbers = (middle[0, row], middle[1, row], middle[2, row], reach[row])
             for k in range(4):
-                seen[k, column] = min(seen[k, column], numbers[k])
-                seen[4 + k, column] = max(seen[4 + k, column], numbers[k])
-                seen[8, column] += numbers[k] - numbers[k]
-    x, y, z, far = seen[0, 0], seen[1, 0], seen[2, 0], seen[3, 0]
-    u, v, w, wide, unknown = seen[4, 0], seen[5, 0], seen[6, 0], seen[7, 0], seen[8, 0]
+                extremes[k, column] = min(extremes[k, column], numbers[k])
+                extremes[4 + k, column] = max(extremes[4 + k, column], numbers[k])
+                extremes[8, column] += numbers[k] - numbers[k]
+    x, y, z, far = extremes[0, 0], extremes[1, 0], extremes[2, 0], extremes[3, 0]
+    u, v, w, wide, unknown = extremes[4, 0], extremes[5, 0], extremes[6, 0], extremes[7, 0], extremes[8, 0]
     for k in range(1, _TOGETHER):
-        x, y, z, far = min(x, seen[0, k]), min(y, seen[1, k]), min(z, seen[2, k]), min(far, seen[3, k])
-        u, v, w, wide = max(u, seen[4, k]), max(v, seen[5, k]), max(w, seen[6, k]), max(wide, seen[7, k])
-        unknown += seen[8, k]
+        x, y, z, far = min(x, extremes[0, k]), min(y, extremes[1, k]), min(z, extremes[2, k]), min(far, extremes[3, k])
+        u, v, w, wide = max(u, extremes[4, k]), max(v, extremes[5, k]), max(w, extremes[6, k]), max(wide, extremes[7, k])
+        unknown += extremes[8, k]
     return Bounds((x + unknown, y + unknown, z + unknown, far + unknown), (u, v, w, wide))
 
 
@@ -161,113 +161,113 @@ def _gap(away: Vec3, a: Vec3, b: Vec3, one: Vec3, other: Vec3, reach: F64, lengt
     s = min(max(s, -reach), reach)
     t = min(max((ab * s + f) / bb, -length), length)
     s = min(max((ab * t - c) / aa, -reach), reach)
-    apart = minus(plus(away, times(a, s)), times(b, t))
-    over = dot(apart, between)
-    apart = minus(apart, times(between, over))
-    distance = np.sqrt(dot(apart, apart))
-    room = wide * wide - over * over
-    gap = distance - np.sqrt(room) if room > 0 else np.inf
+    separation = minus(plus(away, times(a, s)), times(b, t))
+    over = dot(separation, between)
+    separation = minus(separation, times(between, over))
+    distance = np.sqrt(dot(separation, separation))
+    margin = wide * wide - over * over
+    gap = distance - np.sqrt(margin) if margin > 0 else np.inf
     lost = False
     if distance <= wide * _NOWHERE:
-        apart, distance = flat, np.sqrt(dot(flat, flat))
+        separation, distance = flat, np.sqrt(dot(flat, flat))
         lost = distance <= wide * _NOWHERE
     size = max(distance, 1e-300)
-    return gap, (apart[0] / size, apart[1] / size, apart[2] / size), lost
+    return gap, (separation[0] / size, separation[1] / size, separation[2] / size), lost
 
 
 @called
 def measured_some(
     bodies: Bodies,
-    gone: Any,
+    displacement: Any,
     i: Array1[I64],
     j: Array1[I64],
     gap: Array1[F64],
-    way: Array2[F64],
-    some: Array1[I64],
+    direction: Array2[F64],
+    pair_numbers: Array1[I64],
     count: I64,
     lost: Array1[I64],
 ) -> I64:
-    """As `measured`, for the first `count` pairs in `some`."""
+    """As `measured`, for the first `count` pairs in `pair_numbers`."""
     middle, ahead, up, half, radius = bodies
     for n in independent(0, count):
-        pair = some[n]
+        pair = pair_numbers[n]
         p, q = i[pair], j[pair]
-        away = minus(plus(of(middle, p), of(gone, p)), plus(of(middle, q), of(gone, q)))
-        gap[pair], (way[0, pair], way[1, pair], way[2, pair]), nowhere = _gap(
+        away = minus(plus(of(middle, p), of(displacement, p)), plus(of(middle, q), of(displacement, q)))
+        gap[pair], (direction[0, pair], direction[1, pair], direction[2, pair]), nowhere = _gap(
             away, of(ahead, p), of(ahead, q), of(up, p), of(up, q), half[p], half[q], radius[p] + radius[q]
         )
         lost[n] = 1 if nowhere else 0
     without = listed(lost, count)
     for n in range(without):
-        lost[n] = some[lost[n]]
+        lost[n] = pair_numbers[lost[n]]
     return without
 
 
 @kernel
 def measured(
     bodies: Bodies,
-    gone: Strided2[F64],
+    displacement: Strided2[F64],
     i: Array1[I64],
     j: Array1[I64],
     changed: Array1[BOOL],
     gap: Array1[F64],
-    way: Array2[F64],
-    some: Array1[I64],
+    direction: Array2[F64],
+    pair_numbers: Array1[I64],
     lost: Array1[I64],
 ) -> I64:
-    """As `capsules.Near.measure`, into `gap` and `way`. Returns the number of pairs without a separation axis, listed first in
-    `lost`. `some` is a work buffer."""
+    """As `capsules.Near.measure`, into `gap` and `direction`. Returns the number of pairs without a separation axis, listed first
+    in `lost`. `pair_numbers` is a work buffer."""
     for pair in independent(0, i.size):
-        some[pair] = 1 if changed[i[pair]] | changed[j[pair]] else 0
-    return measured_some(bodies, gone, i, j, gap, way, some, listed(some, i.size), lost)
+        pair_numbers[pair] = 1 if changed[i[pair]] | changed[j[pair]] else 0
+    return measured_some(bodies, displacement, i, j, gap, direction, pair_numbers, listed(pair_numbers, i.size), lost)
 
 
 @kernel
-def before(
+def measure_before(
     bodies: Bodies,
     walked: Strided2[F64],
     i: Array1[I64],
     j: Array1[I64],
     gap: Array1[F64],
-    way: Array2[F64],
-    deep: Array1[F64],
+    direction: Array2[F64],
+    depth: Array1[F64],
     lost: Array1[I64],
 ) -> I64:
-    """As `capsules.Near.before`, into `gap`, `way` and `deep`. Returns the number of pairs without a separation axis, listed
-    first in `lost`."""
+    """As `capsules.Near.before`, into `gap`, `direction` and `depth`. Returns the number of pairs without a separation axis,
+    listed first in `lost`."""
     middle, ahead, up, half, radius = bodies
-    for some in range(0, i.size, _FETCHED):
-        for pair in range(min(some + _FETCHED, i.size), min(some + 2 * _FETCHED, i.size)):
+    for start in range(0, i.size, _FETCHED):
+        for pair in range(min(start + _FETCHED, i.size), min(start + 2 * _FETCHED, i.size)):
             for side in range(2):
                 row = j[pair] if side else i[pair]
                 for axis in range(3):
                     for vectors in (middle, walked, ahead, up):
-                        fetch_ahead(vectors, axis * deep.size + row)
+                        fetch_ahead(vectors, axis * depth.size + row)
                 fetch_ahead(half, row)
                 fetch_ahead(radius, row)
-        for pair in independent(some, min(some + _FETCHED, i.size)):
+        for pair in independent(start, min(start + _FETCHED, i.size)):
             p, q = i[pair], j[pair]
             away = minus(minus(of(middle, p), of(walked, p)), minus(of(middle, q), of(walked, q)))
-            gap[pair], (way[0, pair], way[1, pair], way[2, pair]), nowhere = _gap(
+            gap[pair], (direction[0, pair], direction[1, pair], direction[2, pair]), nowhere = _gap(
                 away, of(ahead, p), of(ahead, q), of(up, p), of(up, q), half[p], half[q], radius[p] + radius[q]
             )
             lost[pair] = 1 if nowhere else 0
-    deep[:] = 0.0
+    depth[:] = 0.0
     for pair in range(i.size):
         if gap[pair] < 0:
             p, q = i[pair], j[pair]
-            deep[p], deep[q] = max(deep[p], -gap[pair]), max(deep[q], -gap[pair])
+            depth[p], depth[q] = max(depth[p], -gap[pair]), max(depth[q], -gap[pair])
     return listed(lost, i.size)
 
 
 @kernel
-def met(
+def find_meetings(
     crowd: Crowded,
     key: Array1[I64],
     i: Array1[I64],
     j: Array1[I64],
     gap: Array1[F64],
-    way: Array2[F64],
+    direction: Array2[F64],
     known: Array1[I64],
     rows: Array1[I64],
     number: Array1[I64],
@@ -275,11 +275,11 @@ def met(
     dead: F64,
 ) -> Meetings:
     """Select the pairs `i` and `j` that may touch, as `capsules.find` does. They are moved to the front of `i`, `j`, `gap` and
-    `way`; `known` gets the indices of those without a separation axis. `number` is a work buffer. `every`: include pairs in which
-    neither overlaps another by more than `dead` times the two collision radii."""
+    `direction`; `known` gets the indices of those without a separation axis. `number` is a work buffer. `every`: include pairs in
+    which neither overlaps another by more than `dead` times the two collision radii."""
     middle, ahead, up, half, radius = crowd
-    for some in range(0, i.size, _FETCHED):
-        for pair in range(min(some + _FETCHED, i.size), min(some + 2 * _FETCHED, i.size)):
+    for start in range(0, i.size, _FETCHED):
+        for pair in range(min(start + _FETCHED, i.size), min(start + 2 * _FETCHED, i.size)):
             for side in range(2):
                 row = j[pair] if side else i[pair]
                 for axis in range(3):
@@ -289,7 +289,7 @@ def met(
                 fetch_ahead(half, row)
                 fetch_ahead(radius, row)
                 fetch_ahead(key, row)
-        for pair in independent(some, min(some + _FETCHED, i.size)):
+        for pair in independent(start, min(start + _FETCHED, i.size)):
             p, q = i[pair], j[pair]
             if key[p] > key[q]:
                 p, q = j[pair], i[pair]
@@ -297,15 +297,15 @@ def met(
             far, v, nowhere = _gap(
                 away, _single(ahead, p), _single(ahead, q), _single(up, p), _single(up, q), half[p], half[q], wide
             )
-            i[pair], j[pair], gap[pair], (way[0, pair], way[1, pair], way[2, pair]) = p, q, far, v
-            known[pair] = (_LOST if nowhere else _KEPT) if far < wide * _ABOUT else 0
+            i[pair], j[pair], gap[pair], (direction[0, pair], direction[1, pair], direction[2, pair]) = p, q, far, v
+            known[pair] = (_LOST if nowhere else _MAY_MEET) if far < wide * _PROCESS else 0
     number[:] = 0
     pairs, lost, widest = 0, 0, 0.0
     for pair in range(i.size):  # written whatever it is: no branch that is hard to foretell
         p, q, state = i[pair], j[pair], known[pair]
-        v = of(way, pair)
+        v = of(direction, pair)
         i[pairs], j[pairs], gap[pairs], known[pairs] = p, q, gap[pair], state
-        way[0, pairs], way[1, pairs], way[2, pairs] = v
+        direction[0, pairs], direction[1, pairs], direction[2, pairs] = v
         pairs += 1 if state != 0 else 0
     for pair in range(pairs):
         p, q = i[pair], j[pair]
@@ -317,18 +317,18 @@ def met(
         pairs = 0
         for pair in range(near):
             p, q, state = i[pair], j[pair], known[pair]
-            v = of(way, pair)
+            v = of(direction, pair)
             i[pairs], j[pairs], gap[pairs], known[pairs] = p, q, gap[pair], state
-            way[0, pairs], way[1, pairs], way[2, pairs] = v
+            direction[0, pairs], direction[1, pairs], direction[2, pairs] = v
             one, other = number[p], number[q]
             if one == _INSIDE or other == _INSIDE:
                 number[p], number[q] = max(one, _BESIDE), max(other, _BESIDE)
                 pairs += 1
     count = 0
     for k in range(number.size):
-        there = number[k]
+        mark = number[k]
         rows[count], number[k] = k, count
-        count += 1 if there != 0 else 0
+        count += 1 if mark != 0 else 0
     for pair in range(pairs):
         i[pair], j[pair] = number[i[pair]], number[j[pair]]
         nowhere = known[pair] == _LOST

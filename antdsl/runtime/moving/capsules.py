@@ -20,10 +20,10 @@ from antdsl.runtime.moving.capsule_distances import (
     Crowded,
     Shape,
     Trunks,
-    before,
+    find_meetings,
     gathered,
+    measure_before,
     measured,
-    met,
     nothing_seen,
     trunks,
 )
@@ -68,14 +68,14 @@ class Crowd:
         """Measure the capsules of each species; return the bounds of all."""
         self.half, self.radius, self.ahead, self.reach = np.empty((4, len(self)))
         self.middle = np.empty((3, len(self)))
-        seen, bounds = nothing_seen(), ()
-        for population, room, first in zip(self.species, self._capsules, self.first.tolist(), strict=False):
+        extremes, bounds = nothing_seen(), ()
+        for population, capsule, first in zip(self.species, self._capsules, self.first.tolist(), strict=False):
             own = self._registers(population)
             place = np.ascontiguousarray(population.position.T)
             stands = (place, vec.named(own, "heading"), vec.named(own, "up"), own["size"])
-            shape = Shape(*map(float, (room.length, room.width, room.height, room.ahead)))
+            shape = Shape(*map(float, (capsule.length, capsule.width, capsule.height, capsule.ahead)))
             capsules = Trunks(self.half, self.radius, self.ahead, self.reach, self.middle)
-            bounds = trunks(*stands, shape, first, capsules, seen)
+            bounds = trunks(*stands, shape, first, capsules, extremes)
         return list(zip(bounds[:4], bounds[4:], strict=True))
 
     def __len__(self) -> int:
@@ -109,7 +109,8 @@ class Near:
     """Pairs of capsules that are near each other. `rows` of the crowd that are in any pair, ascending. `i` and `j` index these;
     the first of a pair comes first by species and id. For each row, when the pairs were found: `middle`, `ahead` and `up` (3, k),
     `half` and `radius` (k), mm; `widest`: the largest radius of these. For each pair, as last measured: `gap` (m) mm, the
-    distance to contact, negative for overlaps. `way` (3, m): the separation axes, unit vectors from the second to the first."""
+    distance to contact, negative for overlaps. `direction` (3, m): the separation axes, unit vectors from the second to the
+    first."""
 
     crowd: Crowd
     rows: Rows
@@ -122,29 +123,29 @@ class Near:
     radius: Floats
     widest: float
     gap: Floats
-    way: Floats
+    direction: Floats
 
     @property
     def bodies(self) -> Bodies:
         """Its capsules, as kernels read them."""
         return Bodies(self.middle, self.ahead, self.up, self.half, self.radius)
 
-    def before(self, walked: Floats) -> tuple[Floats, Floats, Floats]:
+    def measure_before(self, walked: Floats) -> tuple[Floats, Floats, Floats]:
         """Return gaps and separation axes of all pairs before rows `walked` (3, k) mm, with current headings, and the greatest
         overlap (k) mm of each row."""
         pairs, rows = len(self.i), len(self.rows)
-        gap, way, deep, lost = np.empty(pairs), np.empty((3, pairs)), np.empty(rows), np.empty(pairs, np.intp)
-        count = before(self.bodies, walked, self.i, self.j, gap, way, deep, lost)
-        self.draw(way, lost[:count])
-        return gap, way, deep
+        gap, direction, depth, lost = np.empty(pairs), np.empty((3, pairs)), np.empty(rows), np.empty(pairs, np.intp)
+        count = measure_before(self.bodies, walked, self.i, self.j, gap, direction, depth, lost)
+        self.draw(direction, lost[:count])
+        return gap, direction, depth
 
-    def measure(self, gone: Floats, changed: Flags) -> None:
+    def measure(self, displacement: Floats, changed: Flags) -> None:
         """Measure again the pairs of which a row has `changed` (k), after rows moved by (3, k) mm."""
-        some, lost = np.empty((2, len(self.i)), np.intp)
-        count = measured(self.bodies, gone, self.i, self.j, changed, self.gap, self.way, some, lost)
-        self.draw(self.way, lost[:count])
+        pair_numbers, lost = np.empty((2, len(self.i)), np.intp)
+        count = measured(self.bodies, displacement, self.i, self.j, changed, self.gap, self.direction, pair_numbers, lost)
+        self.draw(self.direction, lost[:count])
 
-    def draw(self, way: Floats, which: Rows) -> None:
+    def draw(self, direction: Floats, which: Rows) -> None:
         """Draw the separation axes (3, m) of pairs at one position: along the ground of the first agent, by the seed and both
         ids."""
         if not len(which):
@@ -154,14 +155,14 @@ class Near:
         kinds = (first // _SPECIES) * len(crowd.species) + second // _SPECIES
         turn = np.empty(len(i), np.float32)
         for kind in np.unique(kinds):
-            some = np.flatnonzero(kinds == kind)
+            subset = np.flatnonzero(kinds == kind)
             one, other = (crowd.species[number].name for number in divmod(int(kind), len(crowd.species)))
-            ids = (first[some] % _SPECIES) * _SPREAD + second[some] % _SPECIES
-            turn[some] = randomness.uniform(crowd.world.setting.seed, 0, one, f"parts from {other}", 0, ids)
+            ids = (first[subset] % _SPECIES) * _SPREAD + second[subset] % _SPECIES
+            turn[subset] = randomness.uniform(crowd.world.setting.seed, 0, one, f"parts from {other}", 0, ids)
         angle = turn * np.float32(2 * np.pi)
         normal = self.up.take(i, axis=1)
         side = np.stack(vec.across((normal[0], normal[1], normal[2])))
-        way[:, which] = side * elementary.cos(angle) + vec.stacked_cross(normal, side) * elementary.sin(angle)
+        direction[:, which] = side * elementary.cos(angle) + vec.stacked_cross(normal, side) * elementary.sin(angle)
 
 
 def find(crowd: Crowd, dead: float | None = None) -> Near:
@@ -170,16 +171,16 @@ def find(crowd: Crowd, dead: float | None = None) -> Near:
     x, y, z = crowd.middle
     pairs = within_reach((x, y, z), crowd.reach, crowd.key, crowd.bounds)
     i, j, m = *parallel.plain(pairs.i, pairs.j), len(pairs.i)
-    gap, way, known = np.empty(m), np.empty((3, m)), np.empty(m, np.intp)
+    gap, direction, known = np.empty(m), np.empty((3, m)), np.empty(m, np.intp)
     rows, number = np.empty((2, len(crowd)), np.intp)
     stand = Crowded(crowd.middle, crowd.vector("heading"), crowd.vector("up"), crowd.half, crowd.radius)
     every = (True, 0.0) if dead is None else (False, dead)
-    m, count, lost, widest = met(stand, crowd.key, i, j, gap, way, known, rows, number, *every)
+    m, count, lost, widest = find_meetings(stand, crowd.key, i, j, gap, direction, known, rows, number, *every)
     rows, (middle, ahead, up), (half, radius) = rows[:count], np.empty((3, 3, count)), np.empty((2, count))
     own = Bodies(middle, ahead, up, half, radius)
     gathered(rows, stand, own)
-    near = Near(crowd, rows, i[:m], j[:m], *own, widest, gap[:m], np.ascontiguousarray(way[:, :m]))
-    near.draw(near.way, known[:lost])
+    near = Near(crowd, rows, i[:m], j[:m], *own, widest, gap[:m], np.ascontiguousarray(direction[:, :m]))
+    near.draw(near.direction, known[:lost])
     return near
 
 
@@ -188,14 +189,14 @@ def depths(world: World) -> Floats:
     species."""
     crowd = Crowd(world)
     near = find(crowd)
-    deep = np.zeros(len(crowd))
-    deep[near.rows] = deepest(len(near.rows), near.i, near.j, near.gap) / (2 * near.radius)
-    return deep
+    depth = np.zeros(len(crowd))
+    depth[near.rows] = deepest(len(near.rows), near.i, near.j, near.gap) / (2 * near.radius)
+    return depth
 
 
 def deepest(count: int, i: Rows, j: Rows, gap: Floats) -> Floats:
     """Return the greatest overlap (mm) of each of `count` rows, by the gaps of pairs; 0 without overlap."""
-    deep, inside = np.zeros(count), np.flatnonzero(gap < 0)
+    depth, inside = np.zeros(count), np.flatnonzero(gap < 0)
     for k in (i.take(inside), j.take(inside)):
-        np.maximum.at(deep, k, -gap.take(inside))
-    return deep
+        np.maximum.at(depth, k, -gap.take(inside))
+    return depth

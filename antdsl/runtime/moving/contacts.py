@@ -23,7 +23,7 @@ from antdsl.numerics import vectors as vec
 from antdsl.numerics.vectors import Vector, dot
 from antdsl.runtime.moving import corrections, cutting
 from antdsl.runtime.moving.capsules import Crowd, Near, find
-from antdsl.runtime.moving.corrections import Corrections, Feet, came, stands
+from antdsl.runtime.moving.corrections import Corrections, Feet, fill_approach, stands
 from antdsl.runtime.moving.separation import DEAD, FINE, arrays, faced, parted
 from antdsl.runtime.world import PUSHED, World
 
@@ -45,7 +45,7 @@ class Effort:
     rounds: int
 
     @property
-    def once(self) -> bool:
+    def is_single(self) -> bool:
         """Return whether only agents that overlap when the pairs are found are moved."""
         return self.looks == self.sweeps == self.rounds == 1
 
@@ -54,80 +54,80 @@ EFFORTS: Mapping[str, Effort] = {"soft": Effort(1, 1, 1), "hard": Effort(12, 4, 
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Stood:
+class Stances:
     """Positions (n, 3) mm of agents at the start of a substep, by species; with hard contacts also their headings."""
 
-    places: Mapping[str, Floats]
+    positions: Mapping[str, Floats]
     headings: Mapping[str, Vector]
 
 
-def stood(world: World) -> Stood | None:
+def record_stances(world: World) -> Stances | None:
     """Return the current positions and headings of agents, for `resolve`; None if bodies take no room."""
     if world.setting.contacts == "off":
         return None
     species, headings = world.populations.items(), {}
     if world.setting.contacts == "hard":
         headings = {name: vec.copy(vec.named(population.now, "heading")) for name, population in species}
-    return Stood({name: population.position for name, population in species}, headings)
+    return Stances({name: population.position for name, population in species}, headings)
 
 
-def resolve(world: World, began: Stood, dt: float) -> None:
+def resolve(world: World, began: Stances, dt: float) -> None:
     """Move overlapping agents apart, after a substep of `dt` s that started at `began`."""
     if len(world) < 2:
         return
     effort, crowd = EFFORTS[world.setting.contacts], Crowd(world)
-    near = find(crowd, DEAD if effort.once else None)
+    near = find(crowd, DEAD if effort.is_single else None)
     if not len(near.i):
         return
     share = 1.0 if world.setting.contacts == "hard" else 1.0 - float(elementary.exp(_F(-dt / _SOFT)))
     agents, walked = _Agents.of(crowd, near, began, dt)
-    gap, way, deep = near.before(walked)
+    gap, direction, depth = near.measure_before(walked)
     if world.setting.contacts == "hard":
-        cut, stopped, changed = cutting.cut(near, _came(crowd, near.rows, dt), agents.mass, walked, gap, way)
+        cut, stopped, changed = cutting.cut(near, _find_approach(crowd, near.rows, dt), agents.mass, walked, gap, direction)
         _face_as_before(crowd, near, stopped, began.headings)
         near.measure(cut, changed)
     else:
         cut = np.zeros_like(near.middle)
-    which, held, walking = np.ones(len(near.i), np.bool_), agents.frozen, Corrections(crowd, began.places, dt)
+    which, held, walking = np.ones(len(near.i), np.bool_), agents.frozen, Corrections(crowd, began.positions, dt)
     work = arrays(len(near.rows), len(near.i))
     for left in range(effort.rounds - 1, -1, -1):
-        asked = _apart(near, agents, which, held, walked, deep, effort, share, cut, work)
-        some, wanted = corrections.led(asked)
-        rows = near.rows.take(some)
-        got = walking.walk(rows, wanted)
-        _note_pushes(crowd, rows, cut, some, wanted, got)
+        asked = _separate(near, agents, which, held, walked, depth, effort, share, cut, work)
+        moved_rows, requested_moves = corrections.led(asked)
+        rows = near.rows.take(moved_rows)
+        got = walking.walk(rows, requested_moves)
+        _note_pushes(crowd, rows, cut, moved_rows, requested_moves, got)
         if not left:
             break
         cut, held = np.zeros_like(cut), held.copy()
-        touched = corrections.missed(near, some, wanted, got, held)
+        touched = corrections.missed(near, moved_rows, requested_moves, got, held)
         if not touched.any():
             break
         near.measure(cut, touched)
-        seen = corrections.visible(near, touched)
-        if seen is None:
+        visible_pairs = corrections.visible(near, touched)
+        if visible_pairs is None:
             break
-        which = seen
+        which = visible_pairs
         at = [population.position[own].T for population, own in crowd.parts(rows)]
-        walked[:, some] = (at[0] if len(at) == 1 else np.concatenate(at, axis=1)) - agents.start.take(some, axis=1)
+        walked[:, moved_rows] = (at[0] if len(at) == 1 else np.concatenate(at, axis=1)) - agents.start.take(moved_rows, axis=1)
 
 
-def _came(crowd: Crowd, rows: Rows, dt: float) -> Floats:
+def _find_approach(crowd: Crowd, rows: Rows, dt: float) -> Floats:
     """Return the displacement (3, k) mm of rows of a crowd in the same time before this substep, by their velocity then."""
-    first, way = 0, np.empty((3, len(rows)))
+    first, displacement = 0, np.empty((3, len(rows)))
     for population, own in crowd.parts(rows):
-        came(own, first, vec.named(population.start, "velocity"), dt, way)
+        fill_approach(own, first, vec.named(population.start, "velocity"), dt, displacement)
         first += len(own)
-    return way
+    return displacement
 
 
-def _note_pushes(crowd: Crowd, rows: Rows, cut: Floats, some: Rows, asked: Floats, got: Floats) -> None:
+def _note_pushes(crowd: Crowd, rows: Rows, cut: Floats, moved_rows: Rows, requested_moves: Floats, got: Floats) -> None:
     """Add to the pushed distance of some rows of a crowd in this step, for species with a program that reads it. `rows` are
-    ascending; `some` are their indices among those in pairs. Of the requested displacement `asked`, (3, k) mm, only what others
-    pushed counts, not what their own step was `cut` by. Of that, only the achieved part (`got`) counts."""
+    ascending; `moved_rows` are their indices among those in pairs. Of the requested displacement `requested_moves`, (3, k) mm,
+    only what others pushed counts, not what their own step was `cut` by. Of that, only the achieved part (`got`) counts."""
     if not any(PUSHED in population.now for population in crowd.species):
         return
-    pushed = asked - cut.take(some, axis=1)
-    short = np.where((pushed == 0).all(axis=0), 0.0, got - (asked - pushed))
+    pushed = requested_moves - cut.take(moved_rows, axis=1)
+    short = np.where((pushed == 0).all(axis=0), 0.0, got - (requested_moves - pushed))
     far = np.sqrt(dot(short, short)).astype(_F)
     first = 0
     for population, own in crowd.parts(rows):
@@ -151,12 +151,12 @@ class _Agents:
     frozen: Flags
 
     @staticmethod
-    def of(crowd: Crowd, near: Near, began: Stood, dt: float) -> tuple[_Agents, Floats]:
+    def of(crowd: Crowd, near: Near, began: Stances, dt: float) -> tuple[_Agents, Floats]:
         """Return these values, and the displacement (3, k) mm of agents from their start."""
         rows = near.rows
         vectors, (reach, mass), first = np.empty((3, 3, len(rows))), np.empty((2, len(rows))), 0
         for p, own in crowd.parts(rows):
-            feet = Feet(began.places[p.name], p.position, p.normal, p.now["max_speed"], p.now["mass"])
+            feet = Feet(began.positions[p.name], p.position, p.normal, p.now["max_speed"], p.now["mass"])
             stands(own, first, feet, dt, *vectors, reach, mass)
             first += len(own)
         start, walked, normal = vectors
@@ -169,13 +169,13 @@ class _Agents:
         return _Agents(start, reach, mass, yields, normal, crowd.of(lambda p: p.quarantined).take(rows)), walked
 
 
-def _apart(
+def _separate(
     near: Near,
     agents: _Agents,
     which: Flags,
     held: Flags,
     walked: Floats,
-    deep: Floats,
+    depth: Floats,
     effort: Effort,
     share: float,
     cut: Floats,
@@ -184,17 +184,17 @@ def _apart(
     """Return the displacements (3, k) mm of rows that separate some of the pairs (m).
 
     Pairs are measured after steps were `cut` by (3, k) mm. Rows that are `held` are not moved farther. Rows have `walked` (3, k)
-    mm; `deep` (k) mm: their overlap before. `work`: buffers for kernels."""
+    mm; `depth` (k) mm: their overlap before. `work`: buffers for kernels."""
     magic = np.ldexp(1.5, int(np.frexp(near.widest)[1]) + 1 - FINE + 52)
-    which, gone = which.copy(), cut.copy()
+    which, displacement = which.copy(), cut.copy()
     looks, lost = effort.looks, np.empty(len(near.i), np.intp)
     bodies = (near.middle, near.ahead, near.up, near.half, near.radius)
-    pairs = (near.i, near.j, near.gap, near.way, which)
-    stand = (agents.mass, agents.yields, agents.reach, deep, held, agents.normal, walked, cut)
+    pairs = (near.i, near.j, near.gap, near.direction, which)
+    stand = (agents.mass, agents.yields, agents.reach, depth, held, agents.normal, walked, cut)
     while looks:
-        looks, count = parted(bodies, pairs, stand, gone, magic, looks, effort.sweeps, share, lost, work)
-        near.draw(near.way, lost[:count])
-    return gone
+        looks, count = parted(bodies, pairs, stand, displacement, magic, looks, effort.sweeps, share, lost, work)
+        near.draw(near.direction, lost[:count])
+    return displacement
 
 
 def _face_as_before(crowd: Crowd, near: Near, stopped: Rows, facing: Mapping[str, Vector]) -> None:

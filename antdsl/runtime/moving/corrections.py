@@ -37,40 +37,44 @@ class Corrections:
     def __init__(self, crowd: Crowd, began: Mapping[str, Floats], dt: float) -> None:
         self._crowd, self._began, self._dt = crowd, began, dt
 
-    def walk(self, rows: Rows, gone: Floats) -> Floats:
+    def walk(self, rows: Rows, displacement: Floats) -> Floats:
         """Walk ascending rows of the crowd by (3, k) mm each; return the displacements reached."""
         got: list[Floats] = []
         for population, own in self._crowd.parts(rows):
             first = sum(each.shape[1] for each in got)
-            got.append(self._walk(population, own, gone[:, first : first + len(own)]))
+            got.append(self._walk(population, own, displacement[:, first : first + len(own)]))
         return got[0] if len(got) == 1 else np.concatenate(got, axis=1)
 
-    def _walk(self, population: Population, rows: Rows, gone: Floats) -> Floats:
+    def _walk(self, population: Population, rows: Rows, displacement: Floats) -> Floats:
         """Walk some agents by (3, k) mm over their ground, along obstacles. Their velocity loses its part against that direction.
         Returns the displacements reached."""
         if not len(rows):
-            return np.empty_like(gone)
+            return np.empty_like(displacement)
         world, threads = self._crowd.world, self._crowd.world.options.threads
-        way, normal, up, heading, size = self._asked(population, rows, gone)
-        way = slide_some(world, population, rows, way, normal)
-        moved = world.ground.move(population.footing.take(rows), vec.rows(way), heading, up, size, threads)
-        if world.solids and len(some := floating(world, population, rows)):
-            moved.put(some, pushed_in_the_air(world, population, rows[some], gone.T[some]))
+        step, normal, up, heading, size = self._prepare_walk(population, rows, displacement)
+        step = slide_some(world, population, rows, step, normal)
+        moved = world.ground.move(population.footing.take(rows), vec.rows(step), heading, up, size, threads)
+        if world.solids and len(airborne_rows := floating(world, population, rows)):
+            moved.put(airborne_rows, pushed_in_the_air(world, population, rows[airborne_rows], displacement.T[airborne_rows]))
         fair = self._allowed(population, rows, moved, size)
         if fair is None:
             return self._put(population, rows, moved)
-        got = np.zeros_like(gone)
+        got = np.zeros_like(displacement)
         if len(fair):
             got[:, fair] = self._put(population, rows.take(fair), moved.take(fair))
         return got
 
-    def _asked(self, population: Population, rows: Rows, gone: Floats) -> tuple[Vector, Columns, Floats, Floats, Floats]:
+    def _prepare_walk(
+        self, population: Population, rows: Rows, displacement: Floats
+    ) -> tuple[Vector, Columns, Floats, Floats, Floats]:
         """Return the inputs of a walk by (3, k) mm for some agents: step and ground normal, float32; the same normal and
         headings, float64 (k, 3); sizes (mm)."""
         now = population.now
         step, feet = np.empty((2, 3, len(rows)), np.float32)
         up, heading, size = *np.empty((2, 3, len(rows))), np.empty(len(rows))
-        _asked(rows, gone, population.normal, vec.named(now, "heading"), now["size"], step, feet, up, heading, size)
+        _prepare_walk(
+            rows, displacement, population.normal, vec.named(now, "heading"), now["size"], step, feet, up, heading, size
+        )
         return (step[0], step[1], step[2]), feet, up.T, heading.T, size
 
     def _allowed(self, population: Population, rows: Rows, moved: Move, size: Floats) -> Rows | None:
@@ -95,8 +99,8 @@ class Corrections:
         """Return the distances (mm) of some agents from their start, None if no agent exceeds its limit, and these limits."""
         began, max_speed = self._began[population.name], population.now["max_speed"]
         far, most = np.empty((2, len(rows)))
-        found = _too_far(rows, moved.position, began, population.position, max_speed, self._dt, far, most)
-        return (far if found else None), most
+        is_too_far = _too_far(rows, moved.position, began, population.position, max_speed, self._dt, far, most)
+        return (far if is_too_far else None), most
 
     def _put(self, population: Population, rows: Rows, moved: Move) -> Floats:
         """Write the corrected footings of some agents; return the displacements (3, k) mm. Bodies stay upright as they are, or
@@ -148,30 +152,30 @@ def stands(
     began, place, feet, max_speed, weight = species
     for n in independent(0, rows.size):
         row, k = rows[n], first + n
-        before = _row(began, row)
-        put(start, k, before)
-        put(walked, k, minus(_row(place, row), before))
+        start_point = _row(began, row)
+        put(start, k, start_point)
+        put(walked, k, minus(_row(place, row), start_point))
         normal[0, k], normal[1, k], normal[2, k] = feet[row, 0], feet[row, 1], feet[row, 2]
         reach[k] = np.float64(_ZERO if max_speed[row] <= 0 else max_speed[row]) * dt
         mass[k] = max(np.float64(weight[row]), _LIGHTEST)
 
 
 @kernel
-def came(rows: Array1[I64], first: I64, velocity: VectorColumns, dt: F32, way: Array2[F64]) -> None:
+def fill_approach(rows: Array1[I64], first: I64, velocity: VectorColumns, dt: F32, displacement: Array2[F64]) -> None:
     """Write the previous displacement (mm) of some rows of a species, in a time of `dt`, from index `first` on among all rows."""
     for n in independent(0, rows.size):
         for axis in range(3):
-            way[axis, first + n] = velocity[axis][rows[n]] * dt
+            displacement[axis, first + n] = velocity[axis][rows[n]] * dt
 
 
 @kernel
-def _asked(
+def _prepare_walk(
     rows: Array1[I64],
-    gone: Strided2[F64],
+    displacement: Strided2[F64],
     feet: Strided2[F32],
     facing: VectorColumns,
     long: Array1[F32],
-    way: Array2[F32],
+    step: Array2[F32],
     normal: Array2[F32],
     up: Array2[F64],
     heading: Array2[F64],
@@ -183,7 +187,7 @@ def _asked(
         row = rows[k]
         size[k] = long[row]
         for axis in range(3):
-            way[axis, k], heading[axis, k] = gone[axis, k], facing[axis][row]
+            step[axis, k], heading[axis, k] = displacement[axis, k], facing[axis][row]
             normal[axis, k] = feet[row, axis]
             up[axis, k] = feet[row, axis]
 
@@ -201,15 +205,15 @@ def _too_far(
 ) -> BOOL:
     """Return whether any of some rows would end at `to` (k, 3) farther away than allowed, or at an unknown distance. Writes the
     distance (mm) from where it `began` (n, 3), and the allowed distance."""
-    found = False
+    is_too_far = False
     for k in range(rows.size):
         row = rows[k]
         start = _row(began, row)
-        way, walked = minus(_row(to, k), start), minus(_row(place, row), start)
-        far[k] = np.sqrt(dot(way, way))
+        displacement, walked = minus(_row(to, k), start), minus(_row(place, row), start)
+        far[k] = np.sqrt(dot(displacement, displacement))
         most[k] = max(np.float64(max_speed[row]) * dt, np.sqrt(dot(walked, walked)))
-        found |= not far[k] <= most[k] * _LONGER
-    return found
+        is_too_far |= not far[k] <= most[k] * _LONGER
+    return is_too_far
 
 
 @kernel
@@ -229,9 +233,9 @@ def _arrived(
     for k in independent(0, rows.size):
         row = rows[k]
         end, up = _row(to, k), _single(_row(above, k))
-        way = minus(end, _row(place, row))
-        put(got, k, way)
-        pushed = _single(way)
+        displacement = minus(end, _row(place, row))
+        put(got, k, displacement)
+        pushed = _single(displacement)
         size = np.sqrt(dot(pushed, pushed))
         good = size > _TINY and np.isfinite(size)
         factor = _ONE / (size if good else _ONE)
@@ -248,18 +252,18 @@ def _arrived(
             place[row, axis], feet[row, axis] = end[axis], up[axis]
 
 
-def led(asked: Floats) -> tuple[Rows, Floats]:
-    """Return which rows have a nonzero displacement in `asked` (3, k) mm, and these displacements."""
-    some, wanted = np.empty(asked.shape[1], np.intp), np.empty_like(asked)
-    count = _led(asked, some, wanted)
-    return some[:count], wanted[:, :count]
+def led(corrections: Floats) -> tuple[Rows, Floats]:
+    """Return which rows have a nonzero displacement in `corrections` (3, k) mm, and these displacements."""
+    moved_rows, requested_moves = np.empty(corrections.shape[1], np.intp), np.empty_like(corrections)
+    count = _select_moves(corrections, moved_rows, requested_moves)
+    return moved_rows[:count], requested_moves[:, :count]
 
 
-def missed(near: Near, some: Rows, wanted: Floats, got: Floats, held: Flags) -> Flags:
-    """Return which rows (k) are measured again. Rows `some` were to move by `wanted` (3, ..) mm and have moved by `got`. Updates
-    their positions. Sets `held` (k) for rows that advanced too little; flags already set stay."""
+def missed(near: Near, moved_rows: Rows, requested_moves: Floats, got: Floats, held: Flags) -> Flags:
+    """Return which rows (k) are measured again. Rows `moved_rows` were to move by `requested_moves` (3, ..) mm and have moved by
+    `got`. Updates their positions. Sets `held` (k) for rows that advanced too little; flags already set stay."""
     touched = np.zeros(len(held), np.bool_)
-    _missed(some, wanted, got, near.radius, near.middle, held, touched)
+    _missed(moved_rows, requested_moves, got, near.radius, near.middle, held, touched)
     return touched
 
 
@@ -270,29 +274,30 @@ def visible(near: Near, touched: Flags) -> Flags | None:
 
 
 @kernel
-def _led(asked: Array2[F64], some: Array1[I64], wanted: Array2[F64]) -> I64:
-    """Return how many rows have a nonzero displacement. The first entries of `some` and `wanted` (3, k) are these rows."""
+def _select_moves(corrections: Array2[F64], moved_rows: Array1[I64], requested_moves: Array2[F64]) -> I64:
+    """Return how many rows have a nonzero displacement. The first entries of `moved_rows` and `requested_moves` (3, k) are these
+    rows."""
     count = 0
-    for k in range(some.size):
-        way = of(asked, k)
-        some[count] = k  # written whatever it is: no branch that is hard to foretell
-        put(wanted, count, way)
-        count += (way[0] != 0) | (way[1] != 0) | (way[2] != 0)
+    for k in range(moved_rows.size):
+        correction = of(corrections, k)
+        moved_rows[count] = k  # written whatever it is: no branch that is hard to foretell
+        put(requested_moves, count, correction)
+        count += (correction[0] != 0) | (correction[1] != 0) | (correction[2] != 0)
     return count
 
 
 @kernel
 def _missed(
-    some: Array1[I64],
-    wanted: Strided2[F64],
+    moved_rows: Array1[I64],
+    requested_moves: Strided2[F64],
     got: Strided2[F64],
     radius: Array1[F64],
     middle: Strided2[F64],
     held: Array1[BOOL],
     touched: Array1[BOOL],
 ) -> None:
-    for n in independent(0, some.size):
-        row, to, on = some[n], of(wanted, n), of(got, n)
+    for n in independent(0, moved_rows.size):
+        row, to, on = moved_rows[n], of(requested_moves, n), of(got, n)
         short, far = minus(to, on), _MISSED * radius[row]
         put(middle, row, plus(of(middle, row), on))
         if dot(short, short) > far * far:
@@ -308,8 +313,8 @@ def _visible(
     """Write which pairs have a row that is `touched`; return whether any of them overlaps enough for another round."""
     for pair in independent(0, i.size):
         which[pair] = touched[i[pair]] | touched[j[pair]]
-    found = False
+    has_overlap = False
     for pair in range(i.size):
         if which[pair]:
-            found |= gap[pair] < -((radius[i[pair]] + radius[j[pair]]) * _SEEN)
-    return found
+            has_overlap |= gap[pair] < -((radius[i[pair]] + radius[j[pair]]) * _SEEN)
+    return has_overlap

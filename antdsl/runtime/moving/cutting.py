@@ -22,11 +22,11 @@ _GOES = 0.5  # of its way: who goes less is stopped
 _BENDS = 3  # times that a step is bent along those in its way, before it is cut
 
 
-def cut(near: Near, came: Floats, mass: Floats, walked: Floats, gap: Floats, way: Floats) -> tuple[Floats, Rows, Flags]:
+def cut(near: Near, approach: Floats, mass: Floats, walked: Floats, gap: Floats, direction: Floats) -> tuple[Floats, Rows, Flags]:
     """Cut and deflect steps of rows that `walked` (3, k) mm, so that no agent enters another. Returns the displacements (3, k) mm
     of that correction, the stopped rows, and flags (k) of rows that are cut or stopped. An agent that goes less than half of its
-    step is stopped. `came` (3, k) mm: the displacements in a period of equal length before this one. `gap` (m) and `way` (3, m)
-    of pairs are those before the steps.
+    step is stopped. `approach` (3, k) mm: the displacements in a period of equal length before this one. `gap` (m) and
+    `direction` (3, m) of pairs are those before the steps.
 
     As in J. van den Berg et al., Reciprocal n-Body Collision Avoidance, 2011, each agent respects half-planes independently.
     Towards each neighbour it goes no farther than half of the gap, and than the neighbour's withdrawal if that continues its
@@ -36,9 +36,9 @@ def cut(near: Near, came: Floats, mass: Floats, walked: Floats, gap: Floats, way
     magic = np.ldexp(1.5, int(np.frexp(most)[1]) + 2 - _FINE + 52)
     rows, pairs = len(near.rows), len(gap)
     (short, sums), part, changed = np.empty((2, 3, rows)), np.empty(rows), np.empty(rows, np.bool_)
-    met, some, stopped = np.empty((3, rows), np.intp)
-    room = Room(np.empty((2, pairs)), sums, part, met, some, np.empty(pairs, np.intp))
-    count = _bent(near.i, near.j, gap, way, came, mass, walked, magic, room, short, stopped, changed)
+    meeting_counts, bent_rows, stopped = np.empty((3, rows), np.intp)
+    buffers = CutBuffers(np.empty((2, pairs)), sums, part, meeting_counts, bent_rows, np.empty(pairs, np.intp))
+    count = _bend_steps(near.i, near.j, gap, direction, approach, mass, walked, magic, buffers, short, stopped, changed)
     return short, stopped[:count], changed
 
 
@@ -54,28 +54,28 @@ def negative(v: Vec3) -> Vec3:
     return -v[0], -v[1], -v[2]
 
 
-class Room(NamedTuple):
-    """Work buffers: `free` (2, m), `sums` (3, k), `part`, `met` and `some` (k) and `pairs` (m)."""
+class CutBuffers(NamedTuple):
+    """Work buffers: `free` (2, m), `sums` (3, k), `part`, `meeting_counts` and `bent_rows` (k) and `pairs` (m)."""
 
     free: Array2[F64]
     sums: Array2[F64]
     part: Array1[F64]
-    met: Array1[I64]
-    some: Array1[I64]
+    meeting_counts: Array1[I64]
+    bent_rows: Array1[I64]
     pairs: Array1[I64]
 
 
 @kernel
-def _bent(
+def _bend_steps(
     i: Array1[I64],
     j: Array1[I64],
     gap: Array1[F64],
-    way: Array2[F64],
-    came: Array2[F64],
+    direction: Array2[F64],
+    approach: Array2[F64],
     mass: Array1[F64],
     walked: Array2[F64],
     magic: F64,
-    room: Room,
+    buffers: CutBuffers,
     cut: Array2[F64],
     stopped: Array1[I64],
     changed: Array1[BOOL],
@@ -84,64 +84,64 @@ def _bent(
     `stopped` rows first in `stopped`. Returns their number.
 
     After a pass over all pairs, only pairs with a bent row are visited again, because no other step has changed."""
-    free, sums, part, met, some, pairs = room
+    free, sums, part, meeting_counts, bent_rows, pairs = buffers
     for pair in independent(0, i.size):
-        ways, over = of(way, pair), 0
+        pair_direction, over = of(direction, pair), 0
         for side in range(2):
             own, other = (j[pair], i[pair]) if side else (i[pair], j[pair])
-            towards = -dot(ways, of(walked, own))
-            far = max(gap[pair], 0.0) * 0.5 + max(-dot(ways, of(came, other)), 0.0)
+            towards = -dot(pair_direction, of(walked, own))
+            far = max(gap[pair], 0.0) * 0.5 + max(-dot(pair_direction, of(approach, other)), 0.0)
             heavier = 1 - min(2 * mass[other] / (mass[own] + mass[other]), 1.0)
             far += heavier * max(towards - far, 0.0)
             free[side, pair] = far
             over = 1 if towards - far > 0 else over
-            ways = negative(ways)
+            pair_direction = negative(pair_direction)
         pairs[pair] = over
     count, rows = listed(pairs, i.size), 0
-    met[:] = 0
+    meeting_counts[:] = 0
     part[:] = 1.0
     for k in independent(0, part.size):
         put(cut, k, of(walked, k))
     for bend in range(_BENDS):
-        found = False
+        has_overlap = False
         for n in range(count):
             pair = pairs[n]
-            ways = of(way, pair)
+            pair_direction = of(direction, pair)
             for side in range(2):
                 k = j[pair] if side else i[pair]
-                over = -dot(ways, of(cut, k)) - free[side, pair]
+                over = -dot(pair_direction, of(cut, k)) - free[side, pair]
                 if over > 0:
-                    if met[k] == 0:
+                    if meeting_counts[k] == 0:
                         sums[0, k], sums[1, k], sums[2, k] = 0.0, 0.0, 0.0
                         if bend == 0:
-                            some[rows] = k
+                            bent_rows[rows] = k
                             rows += 1
-                    add(sums, k, times(ways, over), magic)
-                    met[k] += 1
-                    found = True
-                ways = negative(ways)
-        if not found:
+                    add(sums, k, times(pair_direction, over), magic)
+                    meeting_counts[k] += 1
+                    has_overlap = True
+                pair_direction = negative(pair_direction)
+        if not has_overlap:
             break
         for n in range(rows):
-            k = some[n]
-            if met[k]:
+            k = bent_rows[n]
+            if meeting_counts[k]:
                 for axis in range(3):
-                    cut[axis, k] += sums[axis, k] / met[k]
+                    cut[axis, k] += sums[axis, k] / meeting_counts[k]
         if bend == 0:
             for pair in independent(0, i.size):
-                pairs[pair] = 1 if (met[i[pair]] != 0) | (met[j[pair]] != 0) else 0
+                pairs[pair] = 1 if (meeting_counts[i[pair]] != 0) | (meeting_counts[j[pair]] != 0) else 0
             count = listed(pairs, i.size)
         for n in range(rows):
-            met[some[n]] = 0
+            meeting_counts[bent_rows[n]] = 0
     for n in range(count):
         pair = pairs[n]
-        ways = of(way, pair)
+        pair_direction = of(direction, pair)
         for side in range(2):
             k = j[pair] if side else i[pair]
-            towards = -dot(ways, of(cut, k))
+            towards = -dot(pair_direction, of(cut, k))
             if towards > free[side, pair]:
                 part[k] = min(part[k], free[side, pair] / max(towards, 1e-300))
-            ways = negative(ways)
+            pair_direction = negative(pair_direction)
     for k in independent(0, part.size):
         way_on = of(walked, k)
         step = times(of(cut, k), part[k])

@@ -24,13 +24,13 @@ def in_the_air(world: World, population: Population, moved: Move, dt: np.float32
     They are then in the air of the solid that they fall from or come to. Their next step continues from there."""
     now, first = population.now, len(world.ground.names) - len(world.solids)
     speed = np.where(now["max_speed"] > 0, now["max_speed"], now["size"] * np.float32(_LENGTHS)).astype(np.float64)
-    way = moved.position - population.position
-    far, most = length(way), speed * float(dt)
+    displacement = moved.position - population.position
+    far, most = length(displacement), speed * float(dt)
     from_solid, to_solid = population.footing.mesh >= first, moved.footing.mesh >= first
     rows = np.flatnonzero((from_solid | to_solid) & (far > most * _LONGER))
     if not len(rows):
         return moved
-    place = population.position[rows] + way[rows] * (most[rows] / far[rows])[:, None]
+    place = population.position[rows] + displacement[rows] * (most[rows] / far[rows])[:, None]
     solid = np.where(from_solid[rows], population.footing.mesh[rows], moved.footing.mesh[rows])
     footing, position = moved.footing.copy(), moved.position.copy()
     footing.put(rows, Footing.on_solids(solid, place))
@@ -42,16 +42,16 @@ def floating(world: World, population: Population, rows: Rows) -> Rows:
     """Return which of some agents (ascending indices into `rows`) are falling through the air of a solid."""
     first = len(world.ground.names) - len(world.solids)
     mesh = population.footing.mesh[rows]
-    found = np.zeros(len(rows), np.bool_)
+    is_airborne = np.zeros(len(rows), np.bool_)
     for number, volume in enumerate(world.solids.values(), first):
-        some = np.flatnonzero(mesh == number)
-        found[some] = volume.sample(population.position[rows[some]]) > population.now["size"][rows[some]] * _TOUCHES
-    return np.flatnonzero(found)
+        subset = np.flatnonzero(mesh == number)
+        is_airborne[subset] = volume.sample(population.position[rows[subset]]) > population.now["size"][rows[subset]] * _TOUCHES
+    return np.flatnonzero(is_airborne)
 
 
-def pushed_in_the_air(world: World, population: Population, rows: Rows, way: Floats) -> Move:
+def pushed_in_the_air(world: World, population: Population, rows: Rows, displacement: Floats) -> Move:
     """Return where pushes (k, 3) mm move agents in the air of a solid: straight ahead, but not into a solid."""
-    place = population.position[rows] + way
+    place = population.position[rows] + displacement
     for volume in world.solids.values():
         inside = volume.sample(place) < 0
         place[inside] = population.position[rows[inside]]
@@ -61,4 +61,4 @@ def pushed_in_the_air(world: World, population: Population, rows: Rows, way: Flo
         population.vector("heading")[rows],
     )
     no = np.zeros(len(rows), np.bool_)
-    return Move(Footing.on_solids(mesh, place), place, up, heading, heading, length(way), no, no)
+    return Move(Footing.on_solids(mesh, place), place, up, heading, heading, length(displacement), no, no)

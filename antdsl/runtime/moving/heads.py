@@ -9,7 +9,7 @@ from antdsl.numerics import vectors as vec
 from antdsl.runtime.world import AXES, Population, World
 
 RAISED = 0.1  # of a body: how high its middle is over the feet, unless its clearance is more
-DEEP = 0.1  # of a body: a head that is no deeper inside but touches
+HEAD_DEPTH = 0.1  # of a body: a head that is no deeper inside but touches
 
 
 def heads_inside(world: World, population: Population) -> NDArray[np.bool_]:
@@ -26,12 +26,12 @@ def heads_inside(world: World, population: Population) -> NDArray[np.bool_]:
         upright = now[f"up.{axis}"].astype(np.float64) + population.normal[:, k]
         middle[k] = population.position[:, k] + upright * (high / 2)
         ahead[k] = now[f"heading.{axis}"] * (size / 2)
-    found = np.zeros(len(population), np.bool_)
+    is_inside = np.zeros(len(population), np.bool_)
     meshes = world.ground.meshes
     if meshes is not None:
         which, part, normal = meshes.faced(middle.T, ahead.T, world.options.threads)
         beyond = np.abs(vec.dot(ahead.take(which, axis=1), normal)) * (1 - part)
-        found[which] = beyond > DEEP * size.take(which)
+        is_inside[which] = beyond > HEAD_DEPTH * size.take(which)
     for volume in world.solids.values():
-        found |= volume.sample((middle + ahead).T) < -DEEP * size
-    return found
+        is_inside |= volume.sample((middle + ahead).T) < -HEAD_DEPTH * size
+    return is_inside

@@ -26,11 +26,11 @@ def carry(world: World) -> None:
     if not world.setting.moves:
         return
     ground = moving(world)
-    standing = [(p, *_stood(ground, p)) for p in world.populations.values() if len(p)]
+    standing = [(p, *_find_riders(ground, p)) for p in world.populations.values() if len(p)]
     pose(world, world.frame + 1)
-    for population, rows, before in standing:
-        if ground is not None and before is not None and len(rows):
-            _carried(ground, population, rows, before)
+    for population, rows, previous_axes in standing:
+        if ground is not None and previous_axes is not None and len(rows):
+            _carried(ground, population, rows, previous_axes)
     for name in world.plan.of_kind("obstacle"):
         if name in world.setting.moves.meshes and name in world.obstacles:
             for population, _, _ in standing:
@@ -49,15 +49,15 @@ def pose(world: World, frame: int) -> None:
             world.obstacles[name] = _rays(world, name, frame)
             if world.detail is not None and name in world.setting.obstacles:
                 world.detail.pose(name, vertices_at(world, name, frame))
-    for name, places in moves.items.items():
+    for name, tracks in moves.items.items():
         if name in world.items:
             items = world.items[name]
-            items.position = moves.points(places, frame) - world.origin
+            items.position = moves.points(tracks, frame) - world.origin
             for k, axis in enumerate(AXES):
-                items.seen[axis] = items.position[:, k].astype(np.float32)
-    for name, places in moves.curves.items():
+                items.visible_values[axis] = items.position[:, k].astype(np.float32)
+    for name, tracks in moves.curves.items():
         if name in world.curves:
-            world.curves[name] = curve(moves.points(places, frame) - world.origin)
+            world.curves[name] = curve(moves.points(tracks, frame) - world.origin)
     world.clearances.clear()
 
 
@@ -98,8 +98,8 @@ def ground_velocity(world: World, population: Population) -> NDArray[np.float64]
         rows = np.flatnonzero(footing.mesh == number) if name in moves.meshes else np.empty(0, np.int64)
         if len(rows):
             corner = world.setting.surfaces[name].faces[footing.face[rows]]
-            gone = vertices_at(world, name, world.frame) - vertices_at(world, name, world.frame - 1)
-            a, b, c = (gone[corner[:, k]] for k in range(3))
+            displacement = vertices_at(world, name, world.frame) - vertices_at(world, name, world.frame - 1)
+            a, b, c = (displacement[corner[:, k]] for k in range(3))
             b1, b2 = footing.b1[rows, None], footing.b2[rows, None]
             speed[rows] = (a + b1 * (b - a) + b2 * (c - a)) / world.dt
     return speed
@@ -131,28 +131,28 @@ def turned_from_rest(world: World, population: Population, rows: NDArray[np.intp
         return vectors
     footing = population.footing.faces(np.arange(len(population))[rows][on])
     turned = _turn(ground.rest_axes(footing), ground.axes(footing), np.stack([np.asarray(v, np.float64)[on] for v in vectors]))
-    found = vec.copy(vectors)
-    for component, value in zip(found, turned, strict=True):
+    turned_vectors = vec.copy(vectors)
+    for component, value in zip(turned_vectors, turned, strict=True):
         component[on] = value
-    return found
+    return turned_vectors
 
 
-def from_rest(world: World, population: Population, rows: NDArray[np.intp] | slice, places: Vector) -> Vector:
+def from_rest(world: World, population: Population, rows: NDArray[np.intp] | slice, positions: Vector) -> Vector:
     """Return the current positions of places (three float32 arrays) near agents on the ground at rest. All ground near an agent
     is assumed to have moved like its own face."""
     ground = moving(world)
     if ground is None:
-        return places
+        return positions
     on = ground.carries(population.footing.mesh[rows])
     if not len(on):
-        return places
+        return positions
     standing = population.footing.faces(np.arange(len(population))[rows][on])
-    there = np.stack([np.asarray(p, np.float64)[on] for p in places])
-    away = _turn(ground.rest_axes(standing), ground.axes(standing), there - ground.rest_position(standing).T)
-    found = vec.copy(places)
-    for component, value in zip(found, ground.position(standing).T + away, strict=True):
+    rest_points = np.stack([np.asarray(p, np.float64)[on] for p in positions])
+    away = _turn(ground.rest_axes(standing), ground.axes(standing), rest_points - ground.rest_position(standing).T)
+    current_positions = vec.copy(positions)
+    for component, value in zip(current_positions, ground.position(standing).T + away, strict=True):
         component[on] = value
-    return found
+    return current_positions
 
 
 def _rays(world: World, name: str, frame: int) -> RayScene:
@@ -161,7 +161,7 @@ def _rays(world: World, name: str, frame: int) -> RayScene:
     return RayScene(vertices_at(world, name, frame), mesh.faces, brief=True)
 
 
-def _stood(ground: MovingGround | None, population: Population) -> tuple[NDArray[np.intp], Axes | None]:
+def _find_riders(ground: MovingGround | None, population: Population) -> tuple[NDArray[np.intp], Axes | None]:
     """Return the rows of agents on moving ground, and the frames of their faces before it moves."""
     if ground is None:
         return np.empty(0, np.intp), None
@@ -169,12 +169,12 @@ def _stood(ground: MovingGround | None, population: Population) -> tuple[NDArray
     return rows, ground.axes(population.footing.faces(rows))
 
 
-def _carried(ground: MovingGround, population: Population, rows: NDArray[np.intp], before: Axes) -> None:
+def _carried(ground: MovingGround, population: Population, rows: NDArray[np.intp], previous_axes: Axes) -> None:
     """Rotate the position, up, heading and velocity of agents on moved ground as their face has turned."""
     footing = population.footing.faces(rows)
-    after = ground.axes(footing)
+    next_axes = ground.axes(footing)
     now = population.now
-    turned = {name: _turn(before, after, _vectors(population, name, rows)) for name in ("up", "heading", "velocity")}
+    turned = {name: _turn(previous_axes, next_axes, _vectors(population, name, rows)) for name in ("up", "heading", "velocity")}
     up = np.ascontiguousarray(ground.upright(footing, turned["up"].T).T)
     heading = turned["heading"] - up * (turned["heading"] * up).sum(axis=0)
     size = np.sqrt((heading * heading).sum(axis=0))
@@ -188,10 +188,10 @@ def _carried(ground: MovingGround, population: Population, rows: NDArray[np.intp
             now[f"{name}.{axis}"][rows] = component
 
 
-def _turn(before: Axes, after: Axes, v: NDArray[np.float64]) -> NDArray[np.float64]:
+def _turn(previous_axes: Axes, next_axes: Axes, v: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return vectors (3, n) with unchanged components along the axes of a frame that has turned."""
-    parts = [(a[0] * v[0] + a[1] * v[1]) + a[2] * v[2] for a in before]
-    turned: NDArray[np.float64] = (parts[0] * after[0] + parts[1] * after[1]) + parts[2] * after[2]
+    parts = [(a[0] * v[0] + a[1] * v[1]) + a[2] * v[2] for a in previous_axes]
+    turned: NDArray[np.float64] = (parts[0] * next_axes[0] + parts[1] * next_axes[1]) + parts[2] * next_axes[2]
     return turned
 
 
@@ -208,14 +208,14 @@ def _pushed(world: World, population: Population, name: str) -> None:
     for _ in range(_PUSHES):
         if not len(rows):
             return
-        gap, out = scene.apart(*vec.take(place, rows), margin[rows], world.options.threads)
+        gap, out = scene.signed_distances(*vec.take(place, rows), margin[rows], world.options.threads)
         need = margin[rows] - gap
-        here = np.flatnonzero(need > _F(1e-4) * np.maximum(margin[rows], _F(1e-6)))
-        if not len(here):
+        pressed_rows = np.flatnonzero(need > _F(1e-4) * np.maximum(margin[rows], _F(1e-6)))
+        if not len(pressed_rows):
             return
-        rows, need = rows[here], need[here]
+        rows, need = rows[pressed_rows], need[pressed_rows]
         up, heading = vec.take(vec.named(now, "up"), rows), vec.take(vec.named(now, "heading"), rows)
-        away = vec.flat((out[0][here], out[1][here], out[2][here]), up)
+        away = vec.flat((out[0][pressed_rows], out[1][pressed_rows], out[2][pressed_rows]), up)
         level = vec.length(away)
         # a face that comes down from above leads nowhere: then it goes the way it looks
         away = vec.unit(away, heading)

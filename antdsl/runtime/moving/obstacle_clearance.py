@@ -15,12 +15,12 @@ _SLACK = np.float32(FAR_OFF)
 def clearance(world: World, population: Population, obstacle: str) -> NDArray[np.float32]:
     """Return a distance (mm, float32[n]) within which an agent has no face of the obstacle; 0 when near. Cached for the step."""
     key = (population.name, obstacle, population.version)
-    found = world.clearances.get(key)
-    if found is None:
+    distances = world.clearances.get(key)
+    if distances is None:
         place = vec.named(population.start, "position")
-        found = world.obstacles[obstacle].clearance(*place, world.options.threads)
-        world.clearances[key] = found
-    return found
+        distances = world.obstacles[obstacle].clearance(*place, world.options.threads)
+        world.clearances[key] = distances
+    return distances
 
 
 def may_touch(clear: NDArray[np.float32], reach: NDArray[np.float32]) -> NDArray[np.bool_]:

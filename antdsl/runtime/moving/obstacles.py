@@ -46,19 +46,19 @@ def slide_some(world: World, population: Population, rows: NDArray[np.intp], ste
     """As `slide`, for some agents, from their current positions within a step that began elsewhere."""
     names = _names(world)
     if names:
-        place, radius, gone = _strayed(population, rows)
+        place, radius, drift = _strayed(population, rows)
     for name in names:
-        clear = clearance(world, population, name).take(rows) - gone
+        clear = clearance(world, population, name).take(rows) - drift
         step = _along(mesh_of(world, name), place, step, up, radius, clear, world.options.threads)
     return step
 
 
 def _strayed(population: Population, rows: NDArray[np.intp]) -> tuple[Vector, NDArray[np.float32], NDArray[np.float32]]:
     """Return positions of some agents, their radii, and an upper bound of their distance (mm) from the start of the step."""
-    places, start = (vec.named(registers, "position") for registers in (population.now, population.start))
-    place, radius, gone = np.empty((3, len(rows)), np.float32), *np.empty((2, len(rows)), np.float32)
-    strayed(rows, places, start, population.now["radius"], place, radius, gone)
-    return (place[0], place[1], place[2]), radius, gone
+    positions, start = (vec.named(registers, "position") for registers in (population.now, population.start))
+    place, radius, drift = np.empty((3, len(rows)), np.float32), *np.empty((2, len(rows)), np.float32)
+    strayed(rows, positions, start, population.now["radius"], place, radius, drift)
+    return (place[0], place[1], place[2]), radius, drift
 
 
 def _names(world: World) -> list[str]:
@@ -88,58 +88,61 @@ def _along(
     n = len(radius)
     tables = scene.tables()
     if tables is not None:
-        (rows, met), found, faces = np.empty((2, n), np.int64), np.empty((10, n), np.float32), np.empty((4, n), np.float32)
+        (rows, hit_rows), columns, faces = np.empty((2, n), np.int64), np.empty((10, n), np.float32), np.empty((4, n), np.float32)
         normals = np.stack(up) if isinstance(up, tuple) else up
-        work = partial(along, tables, place, step, normals, radius, clear, rows, found, met, faces)
+        work = partial(along, tables, place, step, normals, radius, clear, rows, columns, hit_rows, faces)
         parts = parallel.in_parts(work, n, threads, parallel.LIGHT)
         if not any([left for _, _, _, left in parts]):
-            return _turned(scene, step, rows, found, met, faces, parts, threads)
-    rows, found = np.empty(n, np.int64), np.empty((9, n), np.float32)
-    parts = parallel.in_parts(partial(touching, place, step, radius, clear, rows, found), n, threads)
-    rows, found = parallel.joined(parts, rows, found)
-    count, found = len(rows), np.ascontiguousarray(found)
+            return _turned(scene, step, rows, columns, hit_rows, faces, parts, threads)
+    rows, columns = np.empty(n, np.int64), np.empty((9, n), np.float32)
+    parts = parallel.in_parts(partial(touching, place, step, radius, clear, rows, columns), n, threads)
+    rows, columns = parallel.joined(parts, rows, columns)
+    count, columns = len(rows), np.ascontiguousarray(columns)
     if not count:
         return step
     above = vec.take(up, rows)
-    size, margin, _, x, y, z, _, _, _ = found
-    gap, out = scene.apart(x, y, z, size + margin, threads)
-    bent, going, rays = np.empty((3, count), np.float32), np.empty(count, np.int64), np.empty((9, count), np.float32)
-    asking = kept_off(found, above, gap, out, bent, going, rays)
-    a, b, c = bent
+    size, margin, _, x, y, z, _, _, _ = columns
+    gap, out = scene.signed_distances(x, y, z, size + margin, threads)
+    new_steps, going, rays = np.empty((3, count), np.float32), np.empty(count, np.int64), np.empty((9, count), np.float32)
+    asking = keep_margins(columns, above, gap, out, new_steps, going, rays)
+    a, b, c = new_steps
     if asking:
         px, py, pz, dx, dy, dz, reach, size, margin = rays[:, :asking]
         hits = scene.feelers(px, py, pz, dx, dy, dz, reach, threads=threads)
-        met = np.flatnonzero(hits.hit)
-        if len(met):
-            free, normal = np.clip(hits.t[met] - margin[met], _F(0), size[met]), (hits.nx[met], hits.ny[met], hits.nz[met])
-            _turn_aside(scene, (x, y, z), (a, b, c), above, found[1], going[met], free, normal, threads)
-    return _put(step, rows, bent)
+        hit_rows = np.flatnonzero(hits.hit)
+        if len(hit_rows):
+            free, normal = (
+                np.clip(hits.t[hit_rows] - margin[hit_rows], _F(0), size[hit_rows]),
+                (hits.nx[hit_rows], hits.ny[hit_rows], hits.nz[hit_rows]),
+            )
+            _turn_aside(scene, (x, y, z), (a, b, c), above, columns[1], going[hit_rows], free, normal, threads)
+    return _put(step, rows, new_steps)
 
 
 def _turned(
     scene: RayScene,
     step: Vector,
     rows: NDArray[np.int64],
-    found: NDArray[np.float32],
-    met: NDArray[np.int64],
+    columns: NDArray[np.float32],
+    hit_rows: NDArray[np.int64],
     hits: NDArray[np.float32],
     parts: list[tuple[int, int, int, int]],
     threads: int,
 ) -> Vector:
     """Return the steps, with those deflected by the kernel `along` replaced. Steps that also hit a face are turned aside from
     it."""
-    rows, found = parallel.joined(parts, rows, found)
+    rows, columns = parallel.joined(parts, rows, columns)
     if not len(rows):
         return step
-    met, hits = parallel.joined([(begin, hit) for begin, _, hit, _ in parts], met, hits)
-    if len(met):
+    hit_rows, hits = parallel.joined([(begin, hit) for begin, _, hit, _ in parts], hit_rows, hits)
+    if len(hit_rows):
         if len(parts) > 1:  # each part counts its own
             counts = [count for _, count, _, _ in parts]
-            met = met + np.repeat(np.cumsum(counts) - counts, [hit for _, _, hit, _ in parts])
+            hit_rows = hit_rows + np.repeat(np.cumsum(counts) - counts, [hit for _, _, hit, _ in parts])
         free, *normal = hits
-        place, bent, above = (found[k : k + 3] for k in (0, 3, 6))
-        _turn_aside(scene, place, bent, above, found[9], met, free, (normal[0], normal[1], normal[2]), threads)
-    return _put(step, rows, found[3:6])
+        place, new_steps, above = (columns[k : k + 3] for k in (0, 3, 6))
+        _turn_aside(scene, place, new_steps, above, columns[9], hit_rows, free, (normal[0], normal[1], normal[2]), threads)
+    return _put(step, rows, columns[3:6])
 
 
 def _put(step: Vector, rows: NDArray[np.int64], own: NDArray[np.float32]) -> Vector:
@@ -155,28 +158,28 @@ def _turn_aside(
     step: Columns,
     up: Columns,
     margin: NDArray[np.float32],
-    met: NDArray[np.intp],
+    hit_rows: NDArray[np.intp],
     free: NDArray[np.float32],
     normal: Vector,
     threads: int,
 ) -> None:
-    """Bend, in place, the steps of agents that `met` a face with this normal after `free` mm."""
-    u, wanted = vec.take(up, met), vec.take(step, met)
-    size = vec.length(wanted)
+    """Bend, in place, the steps of agents that `hit_rows` a face with this normal after `free` mm."""
+    u, intended_steps = vec.take(up, hit_rows), vec.take(step, hit_rows)
+    size = vec.length(intended_steps)
     wall = vec.unit(vec.flat(normal, u), normal)
     part = free / size
-    rest = vec.scale(wanted, _F(1) - part)
+    rest = vec.scale(intended_steps, _F(1) - part)
     into = np.minimum(vec.dot(rest, wall), _F(0))
-    bent = vec.add(vec.scale(wanted, part), vec.sub(rest, vec.scale(wall, into)))
+    new_steps = vec.add(vec.scale(intended_steps, part), vec.sub(rest, vec.scale(wall, into)))
     # In a corner the way along one wall leads into the next: then it goes only as far as is free.
-    again, free, _ = _ahead(scene, vec.take(place, met), bent, margin[met], threads)
+    again, free, _ = _ahead(scene, vec.take(place, hit_rows), new_steps, margin[hit_rows], threads)
     if len(again):
-        short = vec.take(bent, again)
+        short = vec.take(new_steps, again)
         short = vec.scale(short, free / vec.length(short))
-        for component, value in zip(bent, short, strict=True):
+        for component, value in zip(new_steps, short, strict=True):
             component[again] = value
-    for component, value in zip(step, bent, strict=True):
-        component[met] = value
+    for component, value in zip(step, new_steps, strict=True):
+        component[hit_rows] = value
 
 
 def _ahead(
@@ -188,31 +191,33 @@ def _ahead(
     size, margin = size[going], margin[going]
     direction = vec.scale(vec.take(step, going), _F(1) / size)
     hits = scene.feelers(*vec.take(place, going), *direction, size + margin, threads=threads)
-    met = np.flatnonzero(hits.hit)
-    free = np.clip(hits.t[met] - margin[met], _F(0), size[met])
-    return going[met], free, (hits.nx[met], hits.ny[met], hits.nz[met])
+    hit_rows = np.flatnonzero(hits.hit)
+    free = np.clip(hits.t[hit_rows] - margin[hit_rows], _F(0), size[hit_rows])
+    return going[hit_rows], free, (hits.nx[hit_rows], hits.ny[hit_rows], hits.nz[hit_rows])
 
 
 @kernel
 def same(one: VectorColumns, other: VectorColumns, begin: I64, end: I64) -> BOOL:
     """Whether vectors from `begin` to before `end` are all equal, none of them NaN."""
-    found = True
+    is_same = True
     for i in range(begin, end):
-        found = found and one[0][i] == other[0][i] and one[1][i] == other[1][i] and one[2][i] == other[2][i]
-    return found
+        is_same = is_same and one[0][i] == other[0][i] and one[1][i] == other[1][i] and one[2][i] == other[2][i]
+    return is_same
 
 
 @inlined
-def _asked(step: VectorColumns, radius: Array1[F32], clear: Array1[F32], i: I64) -> tuple[F32, F32, BOOL]:
+def _measure_step(step: VectorColumns, radius: Array1[F32], clear: Array1[F32], i: I64) -> tuple[F32, F32, BOOL]:
     """Return the length of a step, its margin, and whether it may touch an obstacle."""
-    way = (step[0][i], step[1][i], step[2][i])
-    size = np.sqrt(dot(way, way))
+    vector = (step[0][i], step[1][i], step[2][i])
+    size = np.sqrt(dot(vector, vector))
     margin = (_ZERO if radius[i] <= 0 else radius[i]) * _MARGIN
     return size, margin, size > _LEAST and clear[i] <= (size + margin) * _WIDER + _SLACK
 
 
 @inlined
-def _kept(step: Vec3F32, up: Vec3F32, size: F32, margin: F32, clear: F32, gap: F32, out: Vec3F32) -> tuple[Vec3F32, F32, BOOL]:
+def _keep_margin(
+    step: Vec3F32, up: Vec3F32, size: F32, margin: F32, clear: F32, gap: F32, out: Vec3F32
+) -> tuple[Vec3F32, F32, BOOL]:
     """Return a step that keeps the margin from the nearest face, `gap` away along `out`; its length, and whether it may hit a
     face."""
     wall = minus(out, times(up, dot(out, up)))
@@ -255,20 +260,20 @@ def along(
     radius: Array1[F32],
     clear: Array1[F32],
     rows: Array1[I64],
-    found: Array2[F32],
-    met: Array1[I64],
+    columns: Array2[F32],
+    hit_rows: Array1[I64],
     hits: Array2[F32],
     begin: I64,
     end: I64,
 ) -> Touching:
     """Find agents from `begin` to before `end` that may touch an obstacle on their step, that is, closer than `clear`. Agents
     outside with their nearest face beyond their range are left out: their steps stay. From index `begin` on, writes their `rows`,
-    and into `found` [10, n] position, deflected step, `up` of the ground (3, n) and margin. `met`: those that hit a face; `hits`
-    [4, n]: the free length (mm) of the step, and the normal."""
+    and into `columns` [10, n] position, deflected step, `up` of the ground (3, n) and margin. `hit_rows`: those that hit a face;
+    `hits` [4, n]: the free length (mm) of the step, and the normal."""
     asking = begin
     for i in range(begin, end):
-        _, _, asked = _asked(step, radius, clear, i)
-        if asked:
+        _, _, may_touch = _measure_step(step, radius, clear, i)
+        if may_touch:
             rows[asking] = i
             asking += 1
     count, hit, left = 0, 0, 0
@@ -281,25 +286,27 @@ def along(
         fetch_lists(grid, cubes, 9 * (high - low))
         for n in range(low, high):
             i = rows[n]
-            size, margin, _ = _asked(step, radius, clear, i)
+            size, margin, _ = _measure_step(step, radius, clear, i)
             at, above = (place[0][i], place[1][i], place[2][i]), (up[0, i], up[1, i], up[2, i])
             gap, out = way_out(grid, at, np.float64((size + margin) * _WIDER + _SLACK) * _LOOKS)
             if gap == _FAR:
                 continue
             left += 1 if gap != gap else 0
-            bent, size, asked = _kept((step[0][i], step[1][i], step[2][i]), above, size, margin, clear[i], gap, out)
+            new_step, size, may_touch = _keep_margin(
+                (step[0][i], step[1][i], step[2][i]), above, size, margin, clear[i], gap, out
+            )
             k = begin + count
-            rows[k], found[9, k] = i, margin
+            rows[k], columns[9, k] = i, margin
             for axis in range(3):
-                found[axis, k], found[3 + axis, k], found[6 + axis, k] = at[axis], bent[axis], above[axis]
-            if asked:
-                normal, face = feel(grid, at, times(bent, _ONE / size), size + margin)
+                columns[axis, k], columns[3 + axis, k], columns[6 + axis, k] = at[axis], new_step[axis], above[axis]
+            if may_touch:
+                normal, face = feel(grid, at, times(new_step, _ONE / size), size + margin)
                 left += 1 if face == FURTHER else 0
                 if face >= 0:
                     h = begin + hit
                     free = _F(normal[3]) - margin
                     free = _ZERO if free < _ZERO else size if free > size else free
-                    met[h], hits[0, h], hits[1, h], hits[2, h], hits[3, h] = (
+                    hit_rows[h], hits[0, h], hits[1, h], hits[2, h], hits[3, h] = (
                         count,
                         free,
                         _F(normal[0]),
@@ -327,45 +334,47 @@ def touching(
     radius: Array1[F32],
     clear: Array1[F32],
     rows: Array1[I64],
-    found: Array2[F32],
+    columns: Array2[F32],
     begin: I64,
     end: I64,
 ) -> tuple[I64, I64]:
     """Find agents from `begin` to before `end` that may touch an obstacle, `clear` mm away, on their step.
 
-    Returns `begin` and their number. From `begin` on, writes their rows, and into `found` [9, ..]: length of the step, margin
+    Returns `begin` and their number. From `begin` on, writes their rows, and into `columns` [9, ..]: length of the step, margin
     (mm) and `clear`, then both vectors."""
     count = begin
     for i in range(begin, end):
-        size, margin, asked = _asked(step, radius, clear, i)
-        if asked:
-            rows[count], found[0, count], found[1, count], found[2, count] = i, size, margin, clear[i]
+        size, margin, may_touch = _measure_step(step, radius, clear, i)
+        if may_touch:
+            rows[count], columns[0, count], columns[1, count], columns[2, count] = i, size, margin, clear[i]
             for k in range(3):
-                found[3 + k, count], found[6 + k, count] = place[k][i], step[k][i]
+                columns[3 + k, count], columns[6 + k, count] = place[k][i], step[k][i]
             count += 1
     return begin, count - begin
 
 
 @kernel
-def kept_off(
+def keep_margins(
     near: Array2[F32],
     above: VectorColumns,
     gaps: Array1[F32],
     out: Array2[F32],
-    bent: Array2[F32],
+    new_steps: Array2[F32],
     going: Array1[I64],
     rays: Array2[F32],
 ) -> I64:
-    """Compute deflected steps, `bent` [3, n], that keep the margin from the nearest face, for agents found by `touching`. `above`
-    is the up of the ground; the nearest face lies at distance `gaps` along `out` [3, n]. Returns how many agents may hit a face
-    on these steps. Writes which ones (`going`) and their `rays` [9, n]: position, direction, range, the length of the step and
-    the margin."""
+    """Compute deflected steps, `new_steps` [3, n], that keep the margin from the nearest face, for agents found by `touching`.
+    `above` is the up of the ground; the nearest face lies at distance `gaps` along `out` [3, n]. Returns how many agents may hit
+    a face on these steps. Writes which ones (`going`) and their `rays` [9, n]: position, direction, range, the length of the step
+    and the margin."""
     count = 0
     for i in range(gaps.size):
         margin, up, away = near[1, i], (above[0][i], above[1][i], above[2][i]), (out[0, i], out[1, i], out[2, i])
-        step, size, asked = _kept((near[6, i], near[7, i], near[8, i]), up, near[0, i], margin, near[2, i], gaps[i], away)
-        bent[0, i], bent[1, i], bent[2, i] = step
-        if asked:
+        step, size, may_touch = _keep_margin(
+            (near[6, i], near[7, i], near[8, i]), up, near[0, i], margin, near[2, i], gaps[i], away
+        )
+        new_steps[0, i], new_steps[1, i], new_steps[2, i] = step
+        if may_touch:
             going[count] = i
             inverse = _ONE / size
             for k in range(3):
@@ -376,10 +385,11 @@ def kept_off(
 
 
 @kernel
-def slowed(wanted: VectorColumns, step: VectorColumns, velocity: VectorColumns, rate: F32, begin: I64, end: I64) -> None:
-    """Set the velocities of agents from `begin` to before `end` with steps other than `wanted` to `rate` times their steps."""
+def slowed(intended_step: VectorColumns, step: VectorColumns, velocity: VectorColumns, rate: F32, begin: I64, end: I64) -> None:
+    """Set the velocities of agents from `begin` to before `end` with steps other than `intended_step` to `rate` times their
+    steps."""
     for i in independent(begin, end):
-        if step[0][i] != wanted[0][i] or step[1][i] != wanted[1][i] or step[2][i] != wanted[2][i]:
+        if step[0][i] != intended_step[0][i] or step[1][i] != intended_step[1][i] or step[2][i] != intended_step[2][i]:
             for k in range(3):
                 velocity[k][i] = step[k][i] * rate
 
@@ -392,13 +402,13 @@ def strayed(
     wide: Array1[F32],
     at: Array2[F32],
     radius: Array1[F32],
-    gone: Array1[F32],
+    drift: Array1[F32],
 ) -> None:
     """Write the positions `at` (3, k) of some rows, their radii, and their distance from the start of the step, slightly
     increased."""
     for k in independent(0, rows.size):
         row = rows[k]
         to = (place[0][row], place[1][row], place[2][row])
-        way = minus(to, (start[0][row], start[1][row], start[2][row]))
+        displacement = minus(to, (start[0][row], start[1][row], start[2][row]))
         at[0, k], at[1, k], at[2, k] = to
-        radius[k], gone[k] = wide[row], np.sqrt(dot(way, way)) * _LONGER
+        radius[k], drift[k] = wide[row], np.sqrt(dot(displacement, displacement)) * _LONGER

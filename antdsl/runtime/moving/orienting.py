@@ -18,18 +18,23 @@ from antdsl.runtime.world import AXES, Population, World
 Floats = NDArray[np.float64]
 
 _TURNED = 0.0087  # sine of the least turn of a direction, half a degree, that tells of a plane
-_BENT = 0.1  # of that turn: how far the ground's normal may turn in the same step
+_BEND_SHARE = 0.1  # of that turn: how far the ground's normal may turn in the same step
 # cosine of 10 degrees: greatest angle between the ground's normal and an up computed from turns or retained
 _NEAR = 0.984807753012208
 _FAR = 0.7071067811865476  # cosine of 45 degrees: the same of what two probes say
 
 
-def orient(world: World, population: Population, before: Vector, stood: Vector, normal: NDArray[np.float32]) -> None:
+def orient(
+    world: World, population: Population, previous_velocity: Vector, previous_up: Vector, normal: NDArray[np.float32]
+) -> None:
     """Orient bodies as the scene requests, starting from their orientation on the ground's normal; changes up and heading.
 
-    `before`, `stood` and `normal` (n, 3) are the velocity, the up of the body and the normal below the feet before the step."""
+    `previous_velocity`, `previous_up` and `normal` (n, 3) are the velocity, the up of the body and the normal below the feet
+    before the step."""
     ground = population.normal.T.astype(np.float64)
-    up = _METHODS[world.setting.orient](world, population, np.stack(before).astype(np.float64), np.stack(stood), normal, ground)
+    up = _METHODS[world.setting.orient](
+        world, population, np.stack(previous_velocity).astype(np.float64), np.stack(previous_up), normal, ground
+    )
     heading = population.vector("heading").T
     # laid over as the way up is turned, by the least turn (O. Rodrigues, 1840)
     axis, cosine = stacked_cross(ground, up), dot(ground, up)
@@ -41,20 +46,25 @@ def orient(world: World, population: Population, before: Vector, stood: Vector, 
 
 
 def _by_turns(
-    world: World, population: Population, before: Floats, stood: NDArray[np.float32], normal: NDArray[np.float32], ground: Floats
+    world: World,
+    population: Population,
+    previous_velocity: Floats,
+    previous_up: NDArray[np.float32],
+    normal: NDArray[np.float32],
+    ground: Floats,
 ) -> Floats:
     """Return ups (3, n) perpendicular to the last two directions of motion. The previous up is retained where the directions
     agree and where an animal stands. So it is where the ground curves by more than a tenth of the angle between the directions.
     The result is at most 10 degrees from the ground's normal."""
-    zero = np.zeros_like(before)
-    one, other = _unit(before, zero), _unit(population.vector("velocity").T, zero)
+    zero = np.zeros_like(previous_velocity)
+    one, other = _unit(previous_velocity, zero), _unit(population.vector("velocity").T, zero)
     across = stacked_cross(one, other)
     sine = np.sqrt(dot(across, across))
-    bent = normal.T.astype(np.float64) - ground
-    plain = (sine >= _TURNED) & (np.sqrt(dot(bent, bent)) <= _BENT * sine)
+    bend = normal.T.astype(np.float64) - ground
+    plain = (sine >= _TURNED) & (np.sqrt(dot(bend, bend)) <= _BEND_SHARE * sine)
     up = _unit(across, ground)
     up = np.where(dot(up, ground) < 0, -up, up)  # which way round it turned tells nothing of which side it stands on
-    up = np.where(plain & (dot(up, ground) >= _NEAR), up, stood.astype(np.float64))
+    up = np.where(plain & (dot(up, ground) >= _NEAR), up, previous_up.astype(np.float64))
     return _within(up, ground)
 
 
@@ -66,7 +76,12 @@ def _within(up: Floats, ground: Floats) -> Floats:
 
 
 def _by_probes(
-    world: World, population: Population, before: Floats, stood: NDArray[np.float32], normal: NDArray[np.float32], ground: Floats
+    world: World,
+    population: Population,
+    previous_velocity: Floats,
+    previous_up: NDArray[np.float32],
+    normal: NDArray[np.float32],
+    ground: Floats,
 ) -> Floats:
     """Return up vectors (3, n) perpendicular to the directions to two ground points: the nearest ones to half a body ahead and
     half a body to the left. Where these are in line with the body, or the result is more than 45 degrees off the ground's normal,
@@ -74,11 +89,11 @@ def _by_probes(
     heading = population.vector("heading").T
     reach = np.maximum(population.now["size"], np.float32(0)).astype(np.float64) / 2
     place = population.position.T
-    ways = []
-    for way in (heading, stacked_cross(ground, heading)):
-        footing, _ = world.ground.nearest((place + way * reach).T)
-        ways.append(world.ground.position(footing).T - place)
-    up = stacked_cross(ways[0], ways[1])
+    displacements = []
+    for direction in (heading, stacked_cross(ground, heading)):
+        footing, _ = world.ground.nearest((place + direction * reach).T)
+        displacements.append(world.ground.position(footing).T - place)
+    up = stacked_cross(displacements[0], displacements[1])
     size = np.sqrt(dot(up, up))
     sound = (size > 0.1 * reach * reach) & (reach > 0)
     up = np.where(sound, _unit(up, ground), ground)

@@ -61,19 +61,19 @@ def find_walls(
     if not len(rows):
         return _NO_WALLS
     now, most = population.now, max(_FEW, 1 << len(rows).bit_length())  # the same memory while about as many look out
-    (which,) = population.room("looks", 1, (2 * most,), np.int64)
-    halves, sizes = population.room("sizes", 2, (2 * most,), np.float64)
-    ahead, normal, origin, ray = population.room("ways", 4, (3, 2 * most), np.float64)
+    (which,) = population.get_buffers("looks", 1, (2 * most,), np.int64)
+    halves, sizes = population.get_buffers("sizes", 2, (2 * most,), np.float64)
+    ahead, normal, origin, ray = population.get_buffers("ways", 4, (3, 2 * most), np.float64)
     looks = (which, halves, sizes, ahead, normal)
     face, heading = vec.named(now, "~face") if FACE in now else step, vec.named(now, "heading")
-    ways = Ways(heading, looking, state, step, FACE in now, face)
-    count = look(rows, now["size"], population.position, population.normal, ways, looks, origin, ray)
+    directions = Directions(heading, looking, state, step, FACE in now, face)
+    count = look(rows, now["size"], population.position, population.normal, directions, looks, origin, ray)
     hit, part, wall = meshes.faced(origin[:, :count].T, ray[:, :count].T, world.options.threads)
     if not len(hit):
         return _NO_WALLS
-    lengths, found, along = np.empty((4, len(hit))), *np.empty((2, 3, len(hit)))
-    count = walls(len(rows), looks, hit, part, wall, found, along, *lengths, state)
-    return Walls(found[:, :count], along[:, :count], *lengths[:, :count])
+    lengths, wall_normals, along = np.empty((4, len(hit))), *np.empty((2, 3, len(hit)))
+    count = walls(len(rows), looks, hit, part, wall, wall_normals, along, *lengths, state)
+    return Walls(wall_normals[:, :count], along[:, :count], *lengths[:, :count])
 
 
 @inlined
@@ -90,7 +90,7 @@ def reaches(size: Array1[F32], reach: Array1[F64]) -> None:
         reach[i] = WIDEST * half_of(size[i])
 
 
-class Ways(NamedTuple):
+class Directions(NamedTuple):
     """Headings of agents; `looking`: those along the ground, for agents that lean by their `state`; their steps; whether `face`
     has directions to face."""
 
@@ -108,7 +108,7 @@ def look(
     size: Array1[F32],
     position: Strided2[F64],
     normal: Array2[F32],
-    ways: Ways,
+    directions: Directions,
     looks: Looks,
     origin: Array2[F64],
     ray: Array2[F64],
@@ -119,7 +119,7 @@ def look(
     walk backward. The buffers have space for two per row. `looking` has this heading for agents that lean by their `state`, and
     afterwards for all rows."""
     which, halves, sizes, aheads, normals = looks
-    heading, looking, state, step, faces, face = ways
+    heading, looking, state, step, faces, face = directions
     count = rows.size
     for k in range(rows.size):
         i, half = rows[k], half_of(size[rows[k]])
@@ -127,15 +127,15 @@ def look(
             looking[0][i], looking[1][i], looking[2][i] = heading[0][i], heading[1][i], heading[2][i]
         up = (np.float64(normal[i, 0]), np.float64(normal[i, 1]), np.float64(normal[i, 2]))
         ahead = (np.float64(looking[0][i]), np.float64(looking[1][i]), np.float64(looking[2][i]))
-        way = (np.float64(step[0][i]), np.float64(step[1][i]), np.float64(step[2][i]))
-        way = minus(way, times(up, dot(way, up)))
-        gone = np.sqrt(dot(way, way))
-        if gone > 1e-9:
-            long = max(gone, 1e-300)
-            way = (way[0] / long, way[1] / long, way[2] / long)
+        direction = (np.float64(step[0][i]), np.float64(step[1][i]), np.float64(step[2][i]))
+        direction = minus(direction, times(up, dot(direction, up)))
+        step_length = np.sqrt(dot(direction, direction))
+        if step_length > 1e-9:
+            long = max(step_length, 1e-300)
+            direction = (direction[0] / long, direction[1] / long, direction[2] / long)
         else:
-            way = ahead
-        same = dot(way, ahead)
+            direction = ahead
+        same = dot(direction, ahead)
         aside = same < _ASIDE
         if aside and faces and same < 0 and (face[0][i] != 0 or face[1][i] != 0 or face[2][i] != 0):
             aside = False
@@ -145,14 +145,14 @@ def look(
         at = k
         for turn in range(2):
             if turn == 0 or aside:
-                which[at], halves[at], sizes[at] = i, half, gone
+                which[at], halves[at], sizes[at] = i, half, step_length
                 for axis in range(3):
                     aheads[axis, at], normals[axis, at] = ahead[axis], up[axis]
                     origin[axis, at], ray[axis, at] = start[axis], ahead[axis] * reach
             if turn == 0 and aside:
                 at = count
                 count += 1
-                ahead = way
+                ahead = direction
     return count
 
 
@@ -162,7 +162,7 @@ def walls(
     looks: Looks,
     hit: Array1[I64],
     part: Array1[F64],
-    met: Strided2[F64],
+    hit_normals: Strided2[F64],
     wall: Array2[F64],
     ahead: Array2[F64],
     angle: Array1[F64],
@@ -186,7 +186,7 @@ def walls(
             row = which[hit[one]]
         else:
             row = which[hit[two]]
-        best, found = 0.0, False
+        best, has_wall = 0.0, False
         for turn in range(2):
             k, own = -1, False
             if turn == 0:
@@ -199,9 +199,9 @@ def walls(
                 two += 1 if own else 0
             if own:
                 h = hit[k]
-                way, up = of(aheads, h), of(normals, h)
-                normal = of(met, k)
-                if dot(normal, way) > 0:
+                direction, up = of(aheads, h), of(normals, h)
+                normal = of(hit_normals, k)
+                if dot(normal, direction) > 0:
                     normal = (-normal[0], -normal[1], -normal[2])
                 cosine, aside = dot(up, normal), cross(up, normal)
                 sine = max(np.sqrt(dot(aside, aside)), 1e-6)
@@ -210,12 +210,12 @@ def walls(
                 high, reach = 2 * _EYE * halves[h], WIDEST * halves[h]
                 away = max(part[k] * reach - high * cosine / sine, 0.0)
                 tilt = (1.0 - away / long) * turned
-                if cosine < _STEEP and away < long + 2 * sizes[h] and (not found or tilt > best):
-                    best, found = tilt, True
+                if cosine < _STEEP and away < long + 2 * sizes[h] and (not has_wall or tilt > best):
+                    best, has_wall = tilt, True
                     angle[count], far[count], over[count], half[count] = turned, away, long, halves[h]
                     for axis in range(3):
-                        wall[axis, count], ahead[axis, count] = normal[axis], way[axis]
-        if found:
+                        wall[axis, count], ahead[axis, count] = normal[axis], direction[axis]
+        if has_wall:
             state[row] = count
             count += 1
     return count

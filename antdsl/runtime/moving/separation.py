@@ -24,7 +24,7 @@ _EAGER = 1.5  # times the mean of its contacts, by which an agent in a dense clu
 _STEEPEST = 0.1  # square of the part of a way that lies along the ground, below which one goes no farther for it
 # radii: an agent counts as in a dense cluster from half this previous penetration depth on, and fully from one and a half times
 # it
-_HEAP = 0.4
+_HEAP_DEPTH = 0.4
 _RESTS = 0.01  # of its allowed distance: an agent that goes less rests, and presses no other
 _YIELD = 0.3  # of the way that it may walk: how far one that was free is pushed by others in a substep
 _ONE, _TINY = np.float32(1), np.float32(1e-12)  # as `vectors.unit`
@@ -37,15 +37,15 @@ Stand = tuple[
 ]  # fmt: skip
 # Work buffers. For rows: two vectors, seven numbers, three integers and a condition. For pairs: six numbers, two vectors and four
 # integers. Also all pairs around each row, and where those of each row start, below 0 until they are requested.
-Room = tuple[
+Buffers = tuple[
     Array2[F64], Array2[F64], Array2[F64], Array2[I64], Array1[BOOL], Array2[F64], Array3[F64], Array2[I64], Array1[I64],
     Array1[I64],
 ]  # fmt: skip
 
-_WEIGHT, _LOCKED, _SPREAD, _LIGHT, _HEAPED, _MOST, _ROOM = range(7)  # numbers of rows
-_NUMBER, _SOME, _CONTACTS = 0, 1, 2  # whole numbers of rows
+_WEIGHT, _LOCKED, _SPREAD, _LIGHT, _HEAPED, _MOST, _PUSH_LIMIT = range(7)  # numbers of rows
+_NUMBER, _ROW_LIST, _CONTACTS = 0, 1, 2  # whole numbers of rows
 _NONE = -1  # number of a row that is in no pair of a look
-_DEAD_ZONE, _DEEP, _LEVEL, _SHARE = 0, 1, 2, 4  # numbers of pairs, of the last two one of each side
+_DEAD_ZONE, _DEPTH, _LEVEL, _SHARE = 0, 1, 2, 4  # numbers of pairs, of the last two one of each side
 _CHOSEN, _FIRST, _SECOND, _TOUCHING = range(4)  # whole numbers of pairs
 
 
@@ -67,8 +67,8 @@ def _rounded(term: F64) -> F64:
 def faced(
     rows: Array1[I64],
     stopped: Array1[I64],
-    whole: Array1[I64],
-    before: VectorColumns,
+    crowd_rows: Array1[I64],
+    previous_heading: VectorColumns,
     up: VectorColumns,
     heading: VectorColumns,
     shift: Array1[F64],
@@ -76,21 +76,21 @@ def faced(
     middle: Array2[F64],
 ) -> None:
     """Reset the headings and trunks of rows of a species to those before the substep. `stopped`: their indices among the rows of
-    pairs; `whole`: among all."""
+    pairs; `crowd_rows`: among all."""
     for n in independent(0, rows.size):
         row, k = rows[n], stopped[n]
         above = (up[0][row], up[1][row], up[2][row])
-        way = (before[0][row], before[1][row], before[2][row])
-        way = minus(way, times(above, dot(way, above)))
-        size = np.sqrt(dot(way, way))
+        direction = (previous_heading[0][row], previous_heading[1][row], previous_heading[2][row])
+        direction = minus(direction, times(above, dot(direction, above)))
+        size = np.sqrt(dot(direction, direction))
         if size > _TINY and np.isfinite(size):
-            way = times(way, _ONE / size)
+            direction = times(direction, _ONE / size)
         else:
-            way = (heading[0][row], heading[1][row], heading[2][row])
+            direction = (heading[0][row], heading[1][row], heading[2][row])
         for axis in range(3):
-            facing = np.float64(way[axis])
-            middle[axis, k] += (facing - ahead[axis, k]) * shift[whole[n]]
-            ahead[axis, k], heading[axis][row] = facing, way[axis]
+            facing = np.float64(direction[axis])
+            middle[axis, k] += (facing - ahead[axis, k]) * shift[crowd_rows[n]]
+            ahead[axis, k], heading[axis][row] = facing, direction[axis]
 
 
 @inlined
@@ -102,29 +102,29 @@ def _greatest(numbers: Array1[F64], count: I64) -> F64:
 
 
 @called
-def _share(m: I64, count: I64, room: Room, light: Array1[F64], heap: Array1[F64]) -> None:
+def _share(m: I64, count: I64, buffers: Buffers, light: Array1[F64], heap_share: Array1[F64]) -> None:
     """Compute the shares of the overlap by which the first and second of each pair move; they add up to 1. The lighter agent
-    moves more, and so does the less locked one. Applies to the first `m` pairs of `room`, among the first `count` rows.
+    moves more, and so does the less locked one. Applies to the first `m` pairs of `buffers`, among the first `count` rows.
 
     An agent is locked if it deeply overlaps others that deeply overlap others. The value adds up overlaps along contacts
     repeatedly: power iteration to the first eigenvector of the contact graph. That decreases from the middle of a dense cluster
     to its rim."""
-    locked, spread = room[2][_LOCKED], room[2][_SPREAD]
-    numbers, first, second = room[5], room[7][_FIRST], room[7][_SECOND]
-    deep = numbers[_DEEP]
-    deepest = _greatest(deep, m)
+    locked, spread = buffers[2][_LOCKED], buffers[2][_SPREAD]
+    numbers, first, second = buffers[5], buffers[7][_FIRST], buffers[7][_SECOND]
+    depth = numbers[_DEPTH]
+    deepest = _greatest(depth, m)
     for k in range(count):
         locked[k] = 0.0
     for n in range(m):
-        if deep[n] > 0:
-            part = _rounded(deep[n] / deepest)
+        if depth[n] > 0:
+            part = _rounded(depth[n] / deepest)
             locked[first[n]] += part
             locked[second[n]] += part
     for _ in range(_SPREADS):
         for k in range(count):
             spread[k] = locked[k]
         for n in range(m):
-            if deep[n] > 0:
+            if depth[n] > 0:
                 spread[first[n]] += locked[second[n]]
                 spread[second[n]] += locked[first[n]]
         highest = _greatest(spread, count)
@@ -132,7 +132,7 @@ def _share(m: I64, count: I64, room: Room, light: Array1[F64], heap: Array1[F64]
             locked[k] = _rounded(spread[k] / highest)
     for n in range(m):
         p, q = first[n], second[n]
-        outward = _PRESSED + (_OUTWARD - _PRESSED) * max(heap[p], heap[q])
+        outward = _PRESSED + (_OUTWARD - _PRESSED) * max(heap_share[p], heap_share[q])
         outer = 0.5 + outward * (locked[q] - locked[p]) / max(locked[p] + locked[q], 1e-300)
         outer = min(max(outer, _LEAST), 1 - _LEAST)
         one = light[p] * outer * numbers[_LEVEL, n]
@@ -142,14 +142,14 @@ def _share(m: I64, count: I64, room: Room, light: Array1[F64], heap: Array1[F64]
 
 
 @inlined
-def _within(gone: Vec3, middle: Vec3, room: F64) -> Vec3:
-    """Limit a correction: it ends no farther than `room` from a point. `middle` is the vector from that point to the end of the
+def _within(correction: Vec3, middle: Vec3, limit: F64) -> Vec3:
+    """Limit a correction: it ends no farther than `limit` from a point. `middle` is the vector from that point to the end of the
     walk."""
-    way = plus(middle, gone)
-    size = np.sqrt(dot(way, way))
-    if size > room:
-        return minus(times(way, room / size), middle)
-    return gone
+    displacement = plus(middle, correction)
+    size = np.sqrt(dot(displacement, displacement))
+    if size > limit:
+        return minus(times(displacement, limit / size), middle)
+    return correction
 
 
 @kernel
@@ -157,22 +157,22 @@ def parted(
     bodies: Bodies,
     pairs: Pairs,
     stand: Stand,
-    gone: Array2[F64],
+    displacement: Array2[F64],
     magic: F64,
     looks: I64,
     sweeps: I64,
     slow: F64,
     lost: Array1[I64],
-    room: Room,
+    buffers: Buffers,
 ) -> tuple[I64, I64]:
-    """Separate pairs in several looks, each with its sweeps, by a share `slow` of their overlap; change `gap`, `way`, `which` and
-    `gone`.
+    """Separate pairs in several looks, each with its sweeps, by a share `slow` of their overlap; change `gap`, `direction`,
+    `which` and `displacement`.
 
     If pairs have no separation axis, returns the number of remaining looks and of these pairs, listed first in `lost`."""
     radius = bodies.radius
-    i, j, gap, way, which = pairs
-    number, some, changed = room[3][_NUMBER], room[3][_SOME], room[4]
-    chosen, touching, starts, about = room[7][_CHOSEN], room[7][_TOUCHING], room[8], room[9]
+    i, j, gap, direction, which = pairs
+    number, row_list, changed = buffers[3][_NUMBER], buffers[3][_ROW_LIST], buffers[4]
+    chosen, touching, starts, row_pairs = buffers[7][_CHOSEN], buffers[7][_TOUCHING], buffers[8], buffers[9]
     for pair in independent(0, i.size):
         touching[pair] = 1 if which[pair] and gap[pair] < _dead(radius, i, j, pair) else 0
     touch = listed(touching, i.size)
@@ -180,34 +180,34 @@ def parted(
     changed[:] = False
     alone = looks == 1 and sweeps == 1  # then only agents that touch another are moved
     if touch and not alone and starts[0] < 0:
-        _group(i, j, starts, about)
+        _group(i, j, starts, row_pairs)
     for left in range(looks - 1, -1, -1):
-        moved, rows = _look(radius, pairs, touch, stand, gone, magic, sweeps, slow, alone, room)
+        moved, rows = _look(radius, pairs, touch, stand, displacement, magic, sweeps, slow, alone, buffers)
         if not moved or not left:
             break
-        count, kept = 0, 0
+        count, kept_count = 0, 0
         for k in range(rows):
-            row = some[k]
+            row = row_list[k]
             if changed[row]:
                 for at in range(starts[row], starts[row + 1]):
-                    pair = about[at]
+                    pair = row_pairs[at]
                     if i[pair] == row or not changed[i[pair]]:
                         chosen[count] = pair
                         count += 1
-        without = measured_some(bodies, gone, i, j, gap, way, chosen, count, lost)
+        without = measured_some(bodies, displacement, i, j, gap, direction, chosen, count, lost)
         for n in range(touch):
             pair = touching[n]
-            touching[kept] = pair
-            kept += 0 if changed[i[pair]] | changed[j[pair]] else 1
+            touching[kept_count] = pair
+            kept_count += 0 if changed[i[pair]] | changed[j[pair]] else 1
         for n in range(count):
             pair = chosen[n]
-            which[pair], touching[kept] = True, pair
-            kept += 1 if gap[pair] < _dead(radius, i, j, pair) else 0
-        touch = kept
+            which[pair], touching[kept_count] = True, pair
+            kept_count += 1 if gap[pair] < _dead(radius, i, j, pair) else 0
+        touch = kept_count
         if without:
             return left, without
         for k in range(rows):
-            changed[some[k]] = False
+            changed[row_list[k]] = False
     return 0, 0
 
 
@@ -218,8 +218,8 @@ def _dead(radius: Array1[F64], i: Array1[I64], j: Array1[I64], pair: I64) -> F64
 
 
 @called
-def _group(i: Array1[I64], j: Array1[I64], starts: Array1[I64], about: Array1[I64]) -> None:
-    """List the pairs `about` each row: for row k from `starts[k]` to before `starts[k + 1]`."""
+def _group(i: Array1[I64], j: Array1[I64], starts: Array1[I64], row_pairs: Array1[I64]) -> None:
+    """List the pairs `row_pairs` each row: for row k from `starts[k]` to before `starts[k + 1]`."""
     starts[:] = 0
     for pair in range(i.size):
         starts[i[pair]] += 1
@@ -230,22 +230,22 @@ def _group(i: Array1[I64], j: Array1[I64], starts: Array1[I64], about: Array1[I6
         starts[k] = total
     for pair in range(i.size):
         one, other = starts[i[pair]] - 1, starts[j[pair]] - 1
-        about[one], about[other] = pair, pair
+        row_pairs[one], row_pairs[other] = pair, pair
         starts[i[pair]], starts[j[pair]] = one, other
 
 
 @called
-def _limit(radius: Array1[F64], stand: Stand, some: Array1[I64], count: I64, of_rows: Array2[F64]) -> None:
+def _limit(radius: Array1[F64], stand: Stand, row_list: Array1[I64], count: I64, of_rows: Array2[F64]) -> None:
     """Compute four values for some rows: mobility, degree of being in a dense cluster, and how far each may get and be pushed."""
-    mass, yields, reach, deep, held, _, walked, _ = stand
-    light, heap, most, room = of_rows[_LIGHT], of_rows[_HEAPED], of_rows[_MOST], of_rows[_ROOM]
+    mass, yields, reach, depth, held, _, walked, _ = stand
+    light, heap_share, most, push_limit = of_rows[_LIGHT], of_rows[_HEAPED], of_rows[_MOST], of_rows[_PUSH_LIMIT]
     for k in independent(0, count):
-        row = some[k]
-        way = of(walked, row)
-        size = np.sqrt(dot(way, way))
+        row = row_list[k]
+        displacement = of(walked, row)
+        size = np.sqrt(dot(displacement, displacement))
         far = max(reach[row], size)
-        most[k], room[k] = far, min(far * _YIELD + deep[row], far) * yields[row]
-        heap[k] = 1.0 if size <= _RESTS * far else min(max(deep[row] / (radius[row] * _HEAP) - 0.5, 0.0), 1.0)
+        most[k], push_limit[k] = far, min(far * _YIELD + depth[row], far) * yields[row]
+        heap_share[k] = 1.0 if size <= _RESTS * far else min(max(depth[row] / (radius[row] * _HEAP_DEPTH) - 0.5, 0.0), 1.0)
         light[k] = 0.0 if held[row] else 1 / mass[row]
 
 
@@ -255,21 +255,21 @@ def _look(
     pairs: Pairs,
     touch: I64,
     stand: Stand,
-    gone: Array2[F64],
+    displacement: Array2[F64],
     magic: F64,
     sweeps: I64,
     slow: F64,
     alone: BOOL,
-    room: Room,
+    buffers: Buffers,
 ) -> tuple[BOOL, I64]:
     """Make one look and its sweeps, with `touch` touching pairs: for all pairs of their rows, or for these `alone`.
 
-    Writes which rows have changed. Returns whether any has, and how many rows were visited, listed first in `some`."""
-    i, j, gap, way, which = pairs
+    Writes which rows have changed. Returns whether any has, and how many rows were visited, listed first in `row_list`."""
+    i, j, gap, direction, which = pairs
     normal, walked, cut = stand[5], stand[6], stand[7]
-    led, sums, of_rows, wholes, changed, numbers, ways, indices, starts, about = room
-    light, heap, most, far = of_rows[_LIGHT], of_rows[_HEAPED], of_rows[_MOST], of_rows[_ROOM]
-    number, some, contacts = wholes[_NUMBER], wholes[_SOME], wholes[_CONTACTS]
+    new_displacement, sums, of_rows, wholes, changed, numbers, side_directions, indices, starts, row_pairs = buffers
+    light, heap_share, most, far = of_rows[_LIGHT], of_rows[_HEAPED], of_rows[_MOST], of_rows[_PUSH_LIMIT]
+    number, row_list, contacts = wholes[_NUMBER], wholes[_ROW_LIST], wholes[_CONTACTS]
     weight, least = of_rows[_WEIGHT], numbers[_DEAD_ZONE]
     chosen, first, second, those = indices[_CHOSEN], indices[_FIRST], indices[_SECOND], indices[_TOUCHING]
     m, count = 0, 0
@@ -279,23 +279,23 @@ def _look(
         for side in range(2):
             k = j[those[n]] if side else i[those[n]]
             if number[k] < 0:
-                number[k], some[count] = count, k
+                number[k], row_list[count] = count, k
                 count += 1
     if alone:
         for n in range(touch):
             chosen[n] = those[n]
         m = touch
     else:
-        met = count
-        for k in range(met):
-            row = some[k]
+        touching_count = count
+        for k in range(touching_count):
+            row = row_list[k]
             for at in range(starts[row], starts[row + 1]):
-                pair = about[at]
+                pair = row_pairs[at]
                 beside = i[pair] + j[pair] - row
-                there = number[beside]
-                if which[pair] and (there < 0 or there >= met or beside > row):  # a pair of two that touch is met twice
-                    if there < 0:
-                        number[beside], some[count] = count, beside
+                slot = number[beside]
+                if which[pair] and (slot < 0 or slot >= touching_count or beside > row):  # a pair of two that touch is met twice
+                    if slot < 0:
+                        number[beside], row_list[count] = count, beside
                         count += 1
                     chosen[m] = pair
                     m += 1
@@ -304,53 +304,63 @@ def _look(
         least[n] = -_dead(radius, i, j, pair)
         first[n], second[n] = number[i[pair]], number[j[pair]]
     for k in range(count):
-        number[some[k]] = _NONE
-    _limit(radius, stand, some, count, of_rows)
+        number[row_list[k]] = _NONE
+    _limit(radius, stand, row_list, count, of_rows)
     for n in range(m):
         pair = chosen[n]
-        numbers[_DEEP, n] = -gap[pair] if gap[pair] < -least[n] else 0.0
-        v = of(way, pair)
+        numbers[_DEPTH, n] = -gap[pair] if gap[pair] < -least[n] else 0.0
+        v = of(direction, pair)
         for side in range(2):
             up = of(normal, j[pair] if side else i[pair])
             along = minus(v, times(up, dot(v, up)))
-            ways[side, n, 0], ways[side, n, 1], ways[side, n, 2] = along
+            side_directions[side, n, 0], side_directions[side, n, 1], side_directions[side, n, 2] = along
             numbers[_LEVEL + side, n] = dot(along, along)
             v = negative(v)
-    _share(m, count, room, light, heap)
+    _share(m, count, buffers, light, heap_share)
     for side in range(2):
         for n in range(m):
             factor = numbers[_SHARE + side, n] / max(numbers[_LEVEL + side, n], _STEEPEST)
             for axis in range(3):
-                ways[side, n, axis] *= factor
+                side_directions[side, n, axis] *= factor
     for k in range(count):
-        put(led, k, of(gone, some[k]))
+        put(new_displacement, k, of(displacement, row_list[k]))
     for _ in range(sweeps):
         for k in range(count):
             sums[0, k], sums[1, k], sums[2, k], weight[k], contacts[k] = 0.0, 0.0, 0.0, 0.0, 0
         touching = False
         for n in range(m):
             pair, p, q = chosen[n], first[n], second[n]
-            one, other = minus(of(led, p), of(gone, i[pair])), minus(of(led, q), of(gone, j[pair]))
-            left = gap[pair] + dot(of(way, pair), minus(one, other))
+            one, other = (
+                minus(of(new_displacement, p), of(displacement, i[pair])),
+                minus(of(new_displacement, q), of(displacement, j[pair])),
+            )
+            left = gap[pair] + dot(of(direction, pair), minus(one, other))
             if left < -least[n]:
                 touching = True
                 for side in range(2):
                     k = q if side else p
-                    add(sums, k, times((ways[side, n, 0], ways[side, n, 1], ways[side, n, 2]), left * -slow), magic)
+                    add(
+                        sums,
+                        k,
+                        times(
+                            (side_directions[side, n, 0], side_directions[side, n, 1], side_directions[side, n, 2]), left * -slow
+                        ),
+                        magic,
+                    )
                     weight[k] += numbers[_SHARE + side, n]
                     contacts[k] += 1
         if not touching:
             break
         for k in range(count):
-            at = some[k]
-            part = (1 + (_EAGER - 1) * heap[k] if contacts[k] > 1 else 1.0) / max(weight[k], 1.0)
-            asked = plus(of(led, k), times(of(sums, k), part))
-            asked = _within(asked, negative(of(cut, at)), far[k])
-            put(led, k, _within(asked, of(walked, at), most[k]))
+            at = row_list[k]
+            part = (1 + (_EAGER - 1) * heap_share[k] if contacts[k] > 1 else 1.0) / max(weight[k], 1.0)
+            target = plus(of(new_displacement, k), times(of(sums, k), part))
+            target = _within(target, negative(of(cut, at)), far[k])
+            put(new_displacement, k, _within(target, of(walked, at), most[k]))
     moved = False
     for k in range(count):
         for axis in range(3):
-            changed[some[k]] |= led[axis, k] != gone[axis, some[k]]
-        moved |= changed[some[k]]
-        put(gone, some[k], of(led, k))
+            changed[row_list[k]] |= new_displacement[axis, k] != displacement[axis, row_list[k]]
+        moved |= changed[row_list[k]]
+        put(displacement, row_list[k], of(new_displacement, k))
     return moved, count

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from antdsl.ground.mesh.stretches import finish
-from antdsl.ground.mesh.walk import DONE, LEFT_OUT, ROWS_AHEAD, WAITS, bring_near, counted, keep, put_down, walked  # fmt: skip
+from antdsl.ground.mesh.walk import ENDS, LEFT_OUT, ROWS_AHEAD, WAITS, bring_near, counted, keep, put_down, walked  # fmt: skip
 from antdsl.ground.mesh.walkers import Clearances, Placed, Surface
 from antdsl.ground.plane import straight
 from antdsl.machine_code.kernels import (
@@ -28,7 +28,7 @@ from antdsl.machine_code.kernels import (
 )  # fmt: skip
 from antdsl.numerics.kernel_vectors import Vec3, VectorColumns, dot, times
 from antdsl.runtime.moving.rises import WIDEST, half_of
-from antdsl.runtime.moving.tilting import stood
+from antdsl.runtime.moving.tilting import begin_stance
 from antdsl.runtime.moving.velocities import STANDS, Abilities, Arrival, Drive, PushTimes, arrived, pushed
 
 _F = np.float32
@@ -80,11 +80,11 @@ def set_out(
         v = pushed(drive, u, abilities, keeps, min_speed, times_of, i)
         if quarantined[i]:
             v = (_ZERO, _ZERO, _ZERO)
-        way = times(v, dt)
+        displacement = times(v, dt)
         for k in range(3):
-            to[k][i], step[k][i] = v[k], way[k]
-        long[i] = np.sqrt(dot(way, way))
-        stood(i, up, heading, normal, max_speed, size, max_turn, dt, most, looking, state)
+            to[k][i], step[k][i] = v[k], displacement[k]
+        long[i] = np.sqrt(dot(displacement, displacement))
+        begin_stance(i, up, heading, normal, max_speed, size, max_turn, dt, most, looking, state)
         reach[i] = WIDEST * half_of(size[i])
     longest, greatest = _ZERO, _F(-np.inf)
     for i in range(begin, end):
@@ -141,19 +141,19 @@ def stride(
             how[i] = LEFT_OUT
             if mesh[i] < 0 or face[i] < 0:
                 continue
-            way = (np.float64(step[0][i]), np.float64(step[1][i]), np.float64(step[2][i]))
-            if not np.isfinite(way[0] + way[1] + way[2]):
+            displacement = (np.float64(step[0][i]), np.float64(step[1][i]), np.float64(step[2][i]))
+            if not np.isfinite(displacement[0] + displacement[1] + displacement[2]):
                 continue
             x, y, z = three(normal, i)
             up = (np.float64(x), np.float64(y), np.float64(z))
             long, look = np.float64(size[i]), _ahead(heading, looking, state, i)
             f, weights = first[mesh[i]] + face[i], (b1s[i], b2s[i])
-            walk = walked(surface, near, True, f, weights, overs[i], long, way, look, up)
+            walk = walked(surface, near, True, f, weights, overs[i], long, displacement, look, up)
             if walk.stop.event:
                 how[i] = WAITS
                 keep(held.reals, held.wholes, i, np.float64(size[i]), walk)
                 continue
-            how[i] = DONE
+            how[i] = ENDS
             # No edge leads to another mesh.
             put_down(placed, i, mesh[i], walk.walker.face - first[mesh[i]], walk.over, walk.walker)
             pose = finish(surface.table, walk.walker, walk.over)
@@ -171,9 +171,9 @@ def glide(plane: Array1[F64], looking: VectorColumns, arrival: Arrival, place: A
     at, step, heading, state = arrival.old, arrival.step, arrival.registers.heading, arrival.bodies.state
     up = (plane[0], plane[1], plane[2])
     for i in independent(begin, end):
-        way = (np.float64(step[0][i]), np.float64(step[1][i]), np.float64(step[2][i]))
+        displacement = (np.float64(step[0][i]), np.float64(step[1][i]), np.float64(step[2][i]))
         look = _ahead(heading, looking, state, i)
-        pose, _ = straight(up, (at[i, 0], at[i, 1], at[i, 2]), way, look)
+        pose, _ = straight(up, (at[i, 0], at[i, 1], at[i, 2]), displacement, look)
         for k in range(3):
             place[i, k] = pose.place[k]
         arrived(i, pose, False, arrival)

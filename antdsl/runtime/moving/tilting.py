@@ -76,10 +76,13 @@ def lay(population: Population, threads: int = 1) -> None:
     """Show programs the heading and up of the feet, along the ground, during a step. So a push ahead continues over an edge while
     the body tilts."""
     n, start, now = len(population), population.start, population.now
-    (found,), lean = population.room("leaning", 1, (n,), np.int64), population.room("laid", 3, (3, n), np.float32)
-    work = partial(_lay, population.normal, *_registers(start), *_registers(now), found, *lean)
+    (leaning_rows,), lean = (
+        population.get_buffers("leaning", 1, (n,), np.int64),
+        population.get_buffers("laid", 3, (3, n), np.float32),
+    )
+    work = partial(_lay, population.normal, *_registers(start), *_registers(now), leaning_rows, *lean)
     parts = parallel.in_parts(work, n, threads)
-    population.laid = tuple(parallel.joined(parts, found, *lean)) if any([count for _, count in parts]) else None
+    population.laid = tuple(parallel.joined(parts, leaning_rows, *lean)) if any([count for _, count in parts]) else None
 
 
 def stand_up(population: Population) -> None:
@@ -142,16 +145,16 @@ def _laid(heading: Vec3, one: Vec3, other: Vec3) -> Vec3:
 
 
 @inlined
-def _nearer(gone: Vec3, wall: Vec3, ahead: Vec3) -> F64:
-    """Return by how much the distance to the wall along `ahead` shrinks after a displacement `gone`."""
-    return dot(gone, wall) / min(dot(ahead, wall), -1e-3)
+def _nearer(displacement: Vec3, wall: Vec3, ahead: Vec3) -> F64:
+    """Return by how much the distance to the wall along `ahead` shrinks after a displacement `displacement`."""
+    return dot(displacement, wall) / min(dot(ahead, wall), -1e-3)
 
 
 @called
-def _tilted(n: Vec3, wall: Vec3, ahead: Vec3, angle: F64, far: F64, over: F64, gone: Vec3) -> Vec3:
-    """Return the up of a body on ground with a normal, after a displacement `gone`: this normal, or tilted towards that of the
-    wall ahead."""
-    part = min(max(1.0 - (far - _nearer(gone, wall, ahead)) / over, 0.0), 1.0) * angle
+def _tilted(n: Vec3, wall: Vec3, ahead: Vec3, angle: F64, far: F64, over: F64, displacement: Vec3) -> Vec3:
+    """Return the up of a body on ground with a normal, after a displacement `displacement`: this normal, or tilted towards that
+    of the wall ahead."""
+    part = min(max(1.0 - (far - _nearer(displacement, wall, ahead)) / over, 0.0), 1.0) * angle
     axis, cosine = cross(n, wall), dot(n, wall)
     sine = np.sqrt(dot(axis, axis))
     left = np.float64(atan2(_F(sine), _F(cosine)))
@@ -165,7 +168,7 @@ def _tilted(n: Vec3, wall: Vec3, ahead: Vec3, angle: F64, far: F64, over: F64, g
 
 
 @inlined
-def stood(
+def begin_stance(
     i: I64,
     up: VectorColumns,
     heading: VectorColumns,
@@ -191,8 +194,8 @@ def stood(
     state[i] = STANDS
     if _leaning(up, normal, i):
         state[i] = LEANS
-        found = _laid(_of(heading, i), _of(up, i), row64(normal, i))
-        looking[0][i], looking[1][i], looking[2][i] = _F(found[0]), _F(found[1]), _F(found[2])
+        level_heading = _laid(_of(heading, i), _of(up, i), row64(normal, i))
+        looking[0][i], looking[1][i], looking[2][i] = _F(level_heading[0]), _F(level_heading[1]), _F(level_heading[2])
 
 
 @kernel
@@ -237,14 +240,14 @@ def _lay(
     for i in range(begin, end):
         if not _leaning(now_up, normal, i):
             continue
-        found = _laid(_of(start_heading, i), _of(start_up, i), row64(normal, i))
+        level_heading = _laid(_of(start_heading, i), _of(start_up, i), row64(normal, i))
         rows[count] = i
         for k in range(3):
-            up[k, count], heading[k, count], along[k, count] = start_up[k][i], start_heading[k][i], _F(found[k])
+            up[k, count], heading[k, count], along[k, count] = start_up[k][i], start_heading[k][i], _F(level_heading[k])
             start_up[k][i] = normal[i, k]
             now_up[k][i] = normal[i, k]
-            start_heading[k][i] = _F(found[k])
-            now_heading[k][i] = _F(found[k])
+            start_heading[k][i] = _F(level_heading[k])
+            now_heading[k][i] = _F(level_heading[k])
         count += 1
     return begin, count - begin
 
@@ -263,12 +266,12 @@ def _stand_up(
     """Restore up and heading of some rows, except a heading that is no longer the displayed one, `along` the ground."""
     for j in range(rows.size):
         i = rows[j]
-        told = now_heading[0][i] != along[0, j] or now_heading[1][i] != along[1, j] or now_heading[2][i] != along[2, j]
+        has_turned = now_heading[0][i] != along[0, j] or now_heading[1][i] != along[1, j] or now_heading[2][i] != along[2, j]
         for k in range(3):
             start_up[k][i] = up[k, j]
             now_up[k][i] = up[k, j]
             start_heading[k][i] = heading[k, j]
-            if not told:
+            if not has_turned:
                 now_heading[k][i] = heading[k, j]
 
 
@@ -292,25 +295,25 @@ def pace(
         j = state[i]
         if j == STANDS:
             continue
-        way, stands = _of(step, i), _of(up, i)
-        size = np.sqrt(dot(way, way))
-        wanted = row64(normal, i)
-        room = np.inf
+        own_step, stands = _of(step, i), _of(up, i)
+        size = np.sqrt(dot(own_step, own_step))
+        target_up = row64(normal, i)
+        limit = np.inf
         if j >= 0:
             w, a = column64(wall, j), column64(ahead, j)
-            wanted = _tilted(wanted, w, a, angle[j], far[j], over[j], zero)
-            towards = _nearer(divide(way, max(size, 1e-300)), w, a)
+            target_up = _tilted(target_up, w, a, angle[j], far[j], over[j], zero)
+            towards = _nearer(divide(own_step, max(size, 1e-300)), w, a)
             across = cross(stands, w)
             left = np.float64(atan2(_F(np.sqrt(dot(across, across))), _F(dot(stands, w))))
             tilt = angle[j] - left + np.float64(most[i])
             free = max(over[j] * (tilt / angle[j] - 1.0) + far[j], 0.0)
-            room = free / max(towards, 0.05) if towards > 0.05 else np.inf
-        lag = min(1.0, 2.0 * max(dot(stands, wanted), 0.0))
-        part = _F(min(lag, min(max(room / max(size, 1e-300), 0.0), 1.0)))
-        kept = _maximum(part, _WAITING)
+            limit = free / max(towards, 0.05) if towards > 0.05 else np.inf
+        lag = min(1.0, 2.0 * max(dot(stands, target_up), 0.0))
+        part = _F(min(lag, min(max(limit / max(size, 1e-300), 0.0), 1.0)))
+        speed_part = _maximum(part, _WAITING)
         for k in range(3):
             step[k][i] = step[k][i] * part
-            velocity[k][i] = velocity[k][i] * kept
+            velocity[k][i] = velocity[k][i] * speed_part
 
 
 class Posture(NamedTuple):
@@ -347,7 +350,7 @@ def follow(
     """Turn bodies from `begin` to before `end` after their feet, from `now_up` and `now_heading`, which change. Bodies with a
     `state` that says they stand as their feet do are skipped. Feet have moved from the `previous` position to `place`. A body
     that would turn its head into a wall tilts first. `rows` is a work buffer."""
-    before_up, before_heading, before = previous
+    before_up, before_heading, previous_place = previous
     most, max_turn, dt = limits
     wall, ahead, angle, far, over = walls
     count = begin
@@ -360,25 +363,29 @@ def follow(
         stands = _of(before_up, i)
         look = _across(_of(before_heading, i), stands)
         normal, looking = _of(now_up, i), _of(now_heading, i)
-        gone = (place[i, 0] - before[i, 0], place[i, 1] - before[i, 1], place[i, 2] - before[i, 2])
-        wanted = normal
+        displacement = (
+            place[i, 0] - previous_place[i, 0],
+            place[i, 1] - previous_place[i, 1],
+            place[i, 2] - previous_place[i, 2],
+        )
+        target_up = normal
         if j >= 0:
-            wanted = _tilted(normal, column64(wall, j), column64(ahead, j), angle[j], far[j], over[j], gone)
-        axis, cosine, sine = _axis(stands, wanted, look)
-        whole = atan2(_F(sine), _F(cosine))
-        if whole <= most[i]:
-            tilt, c, s, up = whole, cosine, sine, wanted
+            target_up = _tilted(normal, column64(wall, j), column64(ahead, j), angle[j], far[j], over[j], displacement)
+        axis, cosine, sine = _axis(stands, target_up, look)
+        full_tilt = atan2(_F(sine), _F(cosine))
+        if full_tilt <= most[i]:
+            tilt, c, s, up = full_tilt, cosine, sine, target_up
         else:
             part = cos_sin(most[i])
             tilt, c, s = most[i], np.float64(part[0]), np.float64(part[1])
             up = unit(rotated(stands, axis, c, s))
         one = _across(rotated(look, axis, c, s), up)
-        other = _laid(_laid(looking, normal, wanted), wanted, up)
-        room = 4.0
+        other = _laid(_laid(looking, normal, target_up), target_up, up)
+        yaw_limit = 4.0
         if np.isfinite(max_turn[i]):
             turn = np.float64(max(max_turn[i], _F(0)) * dt)
-            room = np.sqrt(max(turn * turn - np.float64(tilt) * np.float64(tilt), 0.0))
-        most_yaw = _F(min(room, 4.0))
+            yaw_limit = np.sqrt(max(turn * turn - np.float64(tilt) * np.float64(tilt), 0.0))
+        most_yaw = _F(min(yaw_limit, 4.0))
         left = cross(up, one)
         yaw = atan2(_F(dot(left, other)), _F(dot(one, other)))
         facing = other
@@ -387,7 +394,7 @@ def follow(
             facing = unit(plus(times(one, np.float64(c32)), times(left, np.float64(s32))))
         if j >= 0:
             w, a = column64(wall, j), column64(ahead, j)
-            middle = plus(times(up, 2 * raised * half[j]), times(a, _nearer(gone, w, a) - far[j]))
+            middle = plus(times(up, 2 * raised * half[j]), times(a, _nearer(displacement, w, a) - far[j]))
             with_turn = dot(plus(middle, times(facing, half[j])), w)
             without = dot(plus(middle, times(one, half[j])), w)
             if with_turn < min(without, 0.0):

@@ -146,51 +146,51 @@ def pushed(
     at_once, first, dt = times_of
     wish = flat((push[0][i], push[1][i], push[2][i]), up)
     wish = times(wish, _ONE / maximum(length(wish), _ONE))
-    before = flat((velocity[0][i], velocity[1][i], velocity[2][i]), up)
+    previous_velocity = flat((velocity[0][i], velocity[1][i], velocity[2][i]), up)
     time = first if response[i] <= at_once else dt
     gain = max_force[i] / mass[i]
     gain = (gain if np.isfinite(gain) else _ZERO) * time
-    v = plus(before, times(wish, gain))
+    v = plus(previous_velocity, times(wish, gain))
     speed, most = length(v), maximum(max_speed[i], _ZERO)
     if speed > most:
         v = times(v, most / (speed if speed > 0 else _ONE))
     v = (v[0] if np.isfinite(v[0]) else _ZERO, v[1] if np.isfinite(v[1]) else _ZERO, v[2] if np.isfinite(v[2]) else _ZERO)
     if keeps:
         least = _minimum(maximum(min_speed[i], _ZERO), maximum(max_speed[i], _ZERO))
-        v = _quickened(v, before, flat((heading[0][i], heading[1][i], heading[2][i]), up), least)
+        v = _quickened(v, previous_velocity, flat((heading[0][i], heading[1][i], heading[2][i]), up), least)
     if np.isfinite(max_turn[i]):
         most = maximum(max_turn[i], _ZERO) * time
         turn = min(most, _PI)
-        both = length(v) * length(before)
-        if not (dot(v, before) > (cos_sin(turn)[0] + _SURELY) * both and both > _TINY):
-            v = _turned(v, before, up, most)
+        both = length(v) * length(previous_velocity)
+        if not (dot(v, previous_velocity) > (cos_sin(turn)[0] + _SURELY) * both and both > _TINY):
+            v = _turned(v, previous_velocity, up, most)
     return v
 
 
 @inlined
-def _quickened(velocity: Vec3F32, before: Vec3F32, heading: Vec3F32, least: F32) -> Vec3F32:
-    """Raise a velocity to a least speed. A slower agent continues in its direction `before` (from rest: along its heading), by as
-    much as is missing. A sideways push turns it; braking never reverses it."""
+def _quickened(velocity: Vec3F32, previous_velocity: Vec3F32, heading: Vec3F32, least: F32) -> Vec3F32:
+    """Raise a velocity to a least speed. A slower agent continues in its direction `previous_velocity` (from rest: along its
+    heading), by as much as is missing. A sideways push turns it; braking never reverses it."""
     square = dot(velocity, velocity)
     if not square < least * least:
         return velocity
-    ahead, good = _unit(before)
+    ahead, good = _unit(previous_velocity)
     if not good:
         ahead, good = _unit(heading)
         if not good:
             ahead = (_ZERO * least, _ZERO * least, _ZERO * least)
     along = dot(velocity, ahead)
-    more = np.sqrt(maximum((least * least - square) + along * along, _ZERO)) - along
-    return plus(velocity, times(ahead, more))
+    increase = np.sqrt(maximum((least * least - square) + along * along, _ZERO)) - along
+    return plus(velocity, times(ahead, increase))
 
 
 @called
-def _turned(velocity: Vec3F32, before: Vec3F32, up: Vec3F32, most: F32) -> Vec3F32:
+def _turned(velocity: Vec3F32, previous_velocity: Vec3F32, up: Vec3F32, most: F32) -> Vec3F32:
     """Return the velocity turned by at most `most` (radians) from the previous one, at its own speed. From rest it may have any
     direction."""
-    if not length(before) > 0:
+    if not length(previous_velocity) > 0:
         most = _F(4.0)
-    ahead, good = _unit(before)
+    ahead, good = _unit(previous_velocity)
     if not good:
         ahead, good = _unit(velocity)
         if not good:
@@ -224,13 +224,13 @@ def arrived(i: I64, pose: Pose, blocked: BOOL, arrival: Arrival) -> None:
     v = times((_F(direction[0]), _F(direction[1]), _F(direction[2])), length(v))
     if blocked:
         rate = _ONE / dt
-        gone = (_F(place[0] - old[i, 0]), _F(place[1] - old[i, 1]), _F(place[2] - old[i, 2]))
-        gone = times(gone, rate)
-        lost = minus(times((step[0][i], step[1][i], step[2][i]), rate), gone)
-        v = minus(gone, times(lost, BOUNCE))
+        travel = (_F(place[0] - old[i, 0]), _F(place[1] - old[i, 1]), _F(place[2] - old[i, 2]))
+        travel = times(travel, rate)
+        lost = minus(times((step[0][i], step[1][i], step[2][i]), rate), travel)
+        v = minus(travel, times(lost, BOUNCE))
     v = flat(v, u)
     h = (_F(ahead[0]), _F(ahead[1]), _F(ahead[2]))
-    before, was = (heading[0][i], heading[1][i], heading[2][i]), (up[0][i], up[1][i], up[2][i])
+    previous_heading, was = (heading[0][i], heading[1][i], heading[2][i]), (up[0][i], up[1][i], up[2][i])
     chord = minus(u, was)
     free = most[i] if state[i] == STANDS else _ZERO
     square, limit = dot(chord, chord), free * free
@@ -238,15 +238,15 @@ def arrived(i: I64, pose: Pose, blocked: BOOL, arrival: Arrival) -> None:
     hasty = tilt > limit
     wish = (face[0][i], face[1][i], face[2][i])
     h = _faced(h, v, u, faces, wish, max_speed[i], max_turn[i], response[i] <= at_once, _minimum(tilt, limit), dt, part)
-    bent, aside = minus(h, before), minus(cross(u, h), cross(was, before))
-    square = (dot(bent, bent) + dot(chord, chord) + dot(aside, aside)) * _HALF
+    heading_change, aside = minus(h, previous_heading), minus(cross(u, h), cross(was, previous_heading))
+    square = (dot(heading_change, heading_change) + dot(chord, chord) + dot(aside, aside)) * _HALF
     limit = maximum(max_turn[i], _ZERO) * dt * BEYOND
     hasty = hasty or _squared_angle(square) > limit * limit + LEAST_TURN
     if (hasty or everyone) and state[i] == STANDS:
         state[i] = HASTENS
     if state[i] != STANDS:
         for k in range(3):
-            to_up[k][i], to_heading[k][i] = was[k], before[k]
+            to_up[k][i], to_heading[k][i] = was[k], previous_heading[k]
     for k in range(3):
         to[k][i], heading[k][i], up[k][i], position[k][i] = v[k], h[k], u[k], _F(place[k])
     put_three(normals, i, u)
@@ -302,12 +302,12 @@ def _faced(
         direction = heading
     faced = False
     if faces:
-        way, good = _unit(wish)
-        along = flat(way if good else up, up)
+        facing, good = _unit(wish)
+        along = flat(facing if good else up, up)
         faced = length(along) > LEVEL
-        way, good = _unit(along)
+        facing, good = _unit(along)
         if faced and good:
-            direction = way
+            direction = facing
     if dot(heading, direction) < 0 and not (at_once and not np.isfinite(max_turn)):
         left = cross(up, heading)
         side, good = _unit(flat(direction, heading))

@@ -17,17 +17,17 @@ _F = np.float32
 
 def walks_of(world: World, population: Population) -> dict[int, WalkData]:
     """Return the walks of a species by the number of the crowd's line."""
-    found = {}
+    walks = {}
     for crowd in world.setting.crowds:  # runs a few times in each step: most scenes guide no agents
         if crowd.walk is not None and crowd.species == population.name:
-            found[crowd.group] = crowd.walk
-    return found
+            walks[crowd.group] = crowd.walk
+    return walks
 
 
 def is_led(world: World, population: Population) -> NDArray[np.bool_]:
     """Who walks as the scene says, bool[n]."""
-    found: NDArray[np.bool_] = np.isin(population.now["group"], list(walks_of(world, population)))
-    return found
+    is_walker: NDArray[np.bool_] = np.isin(population.now["group"], list(walks_of(world, population)))
+    return is_walker
 
 
 def awake(world: World, population: Population) -> Rows | None:
@@ -44,26 +44,28 @@ def set_out(world: World, population: Population, rows: Rows) -> None:
     for group, walk in walks_of(world, population).items():
         own = rows[now["group"][rows] == group]
         up, heading = (vec.take(vec.named(now, name), own) for name in ("up", "heading"))
-        way = np.broadcast_to(np.array(walk.direction, np.float32)[:, None], (3, len(own)))
-        ahead = vec.unit(vec.flat((way[0], way[1], way[2]), up), heading, 1e-3)  # one that leads off the ground is none
+        direction = np.broadcast_to(np.array(walk.direction, np.float32)[:, None], (3, len(own)))
+        ahead = vec.unit(
+            vec.flat((direction[0], direction[1], direction[2]), up), heading, 1e-3
+        )  # one that leads off the ground is none
         now["max_speed"][own] = start["max_speed"][own] = np.maximum(now["max_speed"][own], _F(walk.speed))
         for name, value in (("heading", ahead), ("velocity", vec.scale(ahead, _F(walk.speed)))):
             for axis, component in zip(AXES, value, strict=True):
                 now[f"{name}.{axis}"][own] = start[f"{name}.{axis}"][own] = component
 
 
-def led(world: World, population: Population, velocity: Vector, up: Vector) -> Vector:
+def lead_walkers(world: World, population: Population, velocity: Vector, up: Vector) -> Vector:
     """Return velocities in which agents guided by the scene continue in their direction, at the scene's speed. They stop after
     the scene's distance since their birth."""
-    found = velocity
+    velocities = velocity
     for group, walk in walks_of(world, population).items():
         own = np.flatnonzero(population.now["group"] == group)
-        gone = (world.frame - population.born[own]) * (world.dt * walk.speed)
-        speed = np.clip((walk.length - gone) / world.dt, 0.0, walk.speed).astype(np.float32)
-        before, heading = (vec.take(vec.named(population.now, name), own) for name in ("velocity", "heading"))
+        distance = (world.frame - population.born[own]) * (world.dt * walk.speed)
+        speed = np.clip((walk.length - distance) / world.dt, 0.0, walk.speed).astype(np.float32)
+        previous_velocity, heading = (vec.take(vec.named(population.now, name), own) for name in ("velocity", "heading"))
         above = vec.take(up, own)
-        ahead = vec.unit(vec.flat(before, above), vec.unit(vec.flat(heading, above), vec.across(above)))
-        found = vec.copy(found)
-        for component, value in zip(found, vec.scale(ahead, speed), strict=True):
+        ahead = vec.unit(vec.flat(previous_velocity, above), vec.unit(vec.flat(heading, above), vec.across(above)))
+        velocities = vec.copy(velocities)
+        for component, value in zip(velocities, vec.scale(ahead, speed), strict=True):
             component[own] = value
-    return found
+    return velocities

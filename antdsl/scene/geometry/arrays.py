@@ -52,18 +52,18 @@ def _members(archive: zipfile.ZipFile, size: int, only: Container[str] | None) -
         raise ArrayFileError(f"has {len(entries):,} arrays, more than {MEMBERS:,}")
     if sum(entry.file_size for entry in entries) > size:
         raise ArrayFileError("says it holds more than its own size")
-    found: dict[str, NDArray[Any]] = {}
+    arrays: dict[str, NDArray[Any]] = {}
     for entry in entries:
         name = entry.filename.removesuffix(".npy")
         if not entry.filename.endswith(".npy") or not _NAME.fullmatch(name) or ".." in name or "//" in name:
             raise ArrayFileError(f"has a member of a strange name `{entry.filename[:40]!r}`")
-        if name in found:
+        if name in arrays:
             raise ArrayFileError(f"has two arrays `{name}`")
         if entry.compress_type != zipfile.ZIP_STORED or entry.flag_bits & 0x1 or entry.compress_size != entry.file_size:
             raise ArrayFileError(f"has a compressed or locked array `{name}`")
         if only is None or name in only:
-            found[name] = parse_npy(archive.read(entry), name)  # read compares the checksum
-    return found
+            arrays[name] = parse_npy(archive.read(entry), name)  # read compares the checksum
+    return arrays
 
 
 def parse_npy(data: bytes, name: str) -> NDArray[Any]:

@@ -37,9 +37,9 @@ def open_edges(corners: Index) -> tuple[int, bool]:
     directions.
 
     `corners` (n, 3, 3): corners of triangles as integers; equal positions are one corner."""
-    _, way, first, count = _edges(corners)
-    ways = np.add.reduceat(way, first) if len(way) else np.zeros(0)
-    return int((count % 2).sum()), not ways.any()
+    _, direction, first, count = _edges(corners)
+    direction_sums = np.add.reduceat(direction, first) if len(direction) else np.zeros(0)
+    return int((count % 2).sum()), not direction_sums.any()
 
 
 def inside_out(vertices: Floats, faces: NDArray[np.int32]) -> tuple[int, int]:
@@ -51,9 +51,9 @@ def inside_out(vertices: Floats, faces: NDArray[np.int32]) -> tuple[int, int]:
         return 0, 0
     corners = vertices[faces]
     low, high = corners.min(axis=(0, 1)), corners.max(axis=(0, 1))
-    face, way, first, count = _edges(grained((corners - low) * (_WELD / max(float((high - low).max()), 1e-12)))[0])
+    face, direction, first, count = _edges(grained((corners - low) * (_WELD / max(float((high - low).max()), 1e-12)))[0])
     one = first[count == 2]
-    odd = way[one] == way[one + 1]  # faces that are wound alike pass the edge between them in opposite directions
+    odd = direction[one] == direction[one + 1]  # faces that are wound alike pass the edge between them in opposite directions
     piece = _joined(len(faces), face[one], face[one + 1])
     open_ = np.zeros(len(faces), bool)
     open_[piece[face[np.repeat(count % 2 == 1, count)]]] = True
@@ -74,8 +74,8 @@ def inside_out(vertices: Floats, faces: NDArray[np.int32]) -> tuple[int, int]:
 def _joined(n: int, one: Index, two: Index) -> Index:
     """Return for each of n nodes the least node that edges connect it to (S. Zhang et al., FastSV, SIAM PP 2020)."""
     label = np.arange(n)
-    while (apart := label[one] != label[two]).any():
-        one, two = one[apart], two[apart]
+    while (is_separate := label[one] != label[two]).any():
+        one, two = one[is_separate], two[is_separate]
         least, most = np.minimum(label[one], label[two]), np.maximum(label[one], label[two])
         np.minimum.at(label, most, least)
         while (label != (shorter := label[label])).any():
@@ -121,8 +121,8 @@ def check_sides(staging: Staging, name: str, mesh: MeshData) -> None:
 def border_edges(mesh: MeshData) -> int:
     """Return how many edges of a mesh belong to exactly one triangle."""
     corners = mesh.vertices[mesh.faces]
-    found = stored_tables.stored("border edges", len(corners), (corners,), partial(_border_edges, corners))
-    return int(found["count"][0])
+    tables = stored_tables.stored("border edges", len(corners), (corners,), partial(_border_edges, corners))
+    return int(tables["count"][0])
 
 
 def _border_edges(corners: Floats) -> stored_tables.Tables:

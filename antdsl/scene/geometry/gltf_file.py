@@ -71,24 +71,24 @@ class Gltf:
 
     def object(self, holder: dict[str, Any], key: str) -> dict[str, Any]:
         """An object, empty where there is none."""
-        found = holder.get(key, {})
-        if not isinstance(found, dict):
+        value = holder.get(key, {})
+        if not isinstance(value, dict):
             raise GltfError(f"has a `{key}` that is no object", _EXPORT)
-        return found
+        return value
 
     def listed(self, holder: dict[str, Any], key: str) -> list[Any]:
         """A list, empty where there is none."""
-        found = holder.get(key, [])
-        if not isinstance(found, list):
+        items = holder.get(key, [])
+        if not isinstance(items, list):
             raise GltfError(f"has `{key}` that are no list", _EXPORT)
-        return found
+        return items
 
     def objects(self, holder: dict[str, Any], key: str) -> list[dict[str, Any]]:
         """A list of objects, empty where there is none."""
-        found = self.listed(holder, key)
-        if not all(isinstance(each, dict) for each in found):
+        items = self.listed(holder, key)
+        if not all(isinstance(each, dict) for each in items):
             raise GltfError(f"has `{key}` that are no objects", _EXPORT)
-        return found
+        return items
 
     def index(self, holder: dict[str, Any], key: str, count: int) -> int | None:
         """Return an index into `count` things, or None if the key is absent."""
@@ -108,18 +108,18 @@ class Gltf:
 
     def floats(self, holder: dict[str, Any], key: str, otherwise: tuple[float, ...]) -> NDArray[np.float64]:
         """Return as many numbers as `otherwise` has, which is the default for an absent key."""
-        found = holder.get(key, otherwise)
-        right = isinstance(found, list | tuple) and len(found) == len(otherwise)
-        if not right or not all(isinstance(x, int | float) and not isinstance(x, bool) and abs(x) < 1e30 for x in found):
+        numbers = holder.get(key, otherwise)
+        right = isinstance(numbers, list | tuple) and len(numbers) == len(otherwise)
+        if not right or not all(isinstance(x, int | float) and not isinstance(x, bool) and abs(x) < 1e30 for x in numbers):
             raise GltfError(f"has a `{key}` that is not {len(otherwise)} numbers", _EXPORT)
-        return np.array(found, np.float64)
+        return np.array(numbers, np.float64)
 
     def name(self, holder: dict[str, Any], otherwise: str) -> str:
         """A name that can be shown and written."""
-        found = holder.get("name")
-        if not isinstance(found, str) or not found.strip():
+        text = holder.get("name")
+        if not isinstance(text, str) or not text.strip():
             return otherwise
-        return printable(found[:200])
+        return printable(text[:200])
 
     # ---- arrays
 
@@ -129,10 +129,10 @@ class Gltf:
         number = self.number_of(number, "accessor", len(accessors))
         if number not in self._kept:
             self._kept[number] = self._read(accessors[number], number)
-        found = self._kept[number]
-        if width is not None and found.shape[1] != width:
-            raise GltfError(f"has an accessor {number} of {found.shape[1]} numbers where {width} are needed", _EXPORT)
-        return found
+        values = self._kept[number]
+        if width is not None and values.shape[1] != width:
+            raise GltfError(f"has an accessor {number} of {values.shape[1]} numbers where {width} are needed", _EXPORT)
+        return values
 
     def _read(self, accessor: dict[str, Any], number: int) -> NDArray[Any]:
         kind, width = _COMPONENTS.get(_plain(accessor.get("componentType"))), _WIDTHS.get(str(accessor.get("type")))
@@ -153,10 +153,10 @@ class Gltf:
             raw = self._sparse(self.object(accessor, "sparse"), raw, kind, width)
         if kind == "<f4":
             return to_float64(raw)
-        whole = raw.astype(np.int64)
+        integers = raw.astype(np.int64)
         if accessor.get("normalized") is not True:
-            return whole
-        return np.maximum(whole / float(np.iinfo(kind).max), -1.0)
+            return integers
+        return np.maximum(integers / float(np.iinfo(kind).max), -1.0)
 
     def _sparse(self, sparse: dict[str, Any], raw: NDArray[Any], kind: str, width: int) -> NDArray[Any]:
         indices, values, count = self.object(sparse, "indices"), self.object(sparse, "values"), sparse.get("count")
@@ -166,15 +166,15 @@ class Gltf:
         rows = self._rows(indices.get("bufferView"), indices.get("byteOffset", 0), count, index_kind, 1)[:, 0].astype(np.int64)
         if len(rows) and (rows.min() < 0 or rows.max() >= len(raw)):
             raise GltfError("has a sparse accessor that names values which are not there", _EXPORT)
-        made = raw.copy()
-        made[rows] = self._rows(values.get("bufferView"), values.get("byteOffset", 0), count, kind, width)
-        return made
+        dense_values = raw.copy()
+        dense_values[rows] = self._rows(values.get("bufferView"), values.get("byteOffset", 0), count, kind, width)
+        return dense_values
 
     def _rows(self, view: Any, start: Any, count: int, kind: str, width: int) -> NDArray[Any]:
         """`count` rows of a buffer view, from byte `start` of it on."""
         views = self.top("bufferViews")
-        found = views[self.number_of(view, "bufferView", len(views))]
-        offset, length, stride = found.get("byteOffset", 0), found.get("byteLength"), found.get("byteStride", 0)
+        buffer_view = views[self.number_of(view, "bufferView", len(views))]
+        offset, length, stride = buffer_view.get("byteOffset", 0), buffer_view.get("byteLength"), buffer_view.get("byteStride", 0)
         size = np.dtype(kind).itemsize * width
         for value in (start, offset, length, stride):
             if isinstance(value, bool) or not isinstance(value, int) or not 0 <= value < 2**40:
@@ -182,7 +182,7 @@ class Gltf:
         stride = stride or size
         if stride < size or (count and start + stride * (count - 1) + size > length):
             raise GltfError(f"has a buffer view of {length:,} bytes, too few for what is in it", "a part of it is missing")
-        data = self._buffer(found.get("buffer"))
+        data = self._buffer(buffer_view.get("buffer"))
         if offset + length > len(data):
             raise GltfError(f"has a buffer of {len(data):,} bytes, too few for what is in it", "a part of it is missing")
         if not count:
@@ -253,12 +253,12 @@ def _parsed(text: bytes) -> dict[str, Any]:
             f"has more than {limits.BODY_TEXT_BYTES:,} bytes of JSON", "write its buffers to a .bin file", "too-large"
         )
     try:
-        found = json.loads(text.decode("utf-8-sig"), parse_constant=_no_number)
+        document = json.loads(text.decode("utf-8-sig"), parse_constant=_no_number)
     except (ValueError, RecursionError):
         raise GltfError("is not glTF: its JSON cannot be read", _EXPORT) from None
-    if not isinstance(found, dict):
+    if not isinstance(document, dict):
         raise GltfError("is not glTF: its JSON is no object", _EXPORT)
-    return found
+    return document
 
 
 def _no_number(word: str) -> float:
@@ -304,16 +304,16 @@ def scene_roots(file: Gltf) -> list[int]:
 
 def nodes_below(file: Gltf, roots: Iterable[int]) -> list[int]:
     """Return the nodes and all their descendants, parents first, children in the order of the file."""
-    nodes, found = file.top("nodes"), []
-    seen: set[int] = set()
+    nodes, ordered_nodes = file.top("nodes"), []
+    visited: set[int] = set()
     waiting = list(reversed(list(roots)))
     while waiting:
-        found.append(waiting.pop())
-        waiting += reversed(file.listed(nodes[found[-1]], "children"))
-        if found[-1] in seen:
+        ordered_nodes.append(waiting.pop())
+        waiting += reversed(file.listed(nodes[ordered_nodes[-1]], "children"))
+        if ordered_nodes[-1] in visited:
             raise GltfError("has a scene that names a node twice", _EXPORT)
-        seen.add(found[-1])
-    return found
+        visited.add(ordered_nodes[-1])
+    return ordered_nodes
 
 
 # ---- triangles
@@ -325,14 +325,14 @@ def primitive_triangles(file: Gltf, primitive: dict[str, Any], points: int) -> t
     corners = file.accessor(primitive["indices"], 1)[:, 0].astype(np.int64) if "indices" in primitive else np.arange(points)
     mode = primitive.get("mode", TRIANGLES)
     if mode == STRIP:
-        found = strip_triangles(corners)
+        triangles = strip_triangles(corners)
     elif mode == TRIANGLES or len(corners) < 3:
-        found = corners[: len(corners) // 3 * 3].reshape(-1, 3)
+        triangles = corners[: len(corners) // 3 * 3].reshape(-1, 3)
     else:
-        found = np.stack([corners[1:-1], corners[2:], np.full(len(corners) - 2, corners[0])], axis=1)
+        triangles = np.stack([corners[1:-1], corners[2:], np.full(len(corners) - 2, corners[0])], axis=1)
     over = len(corners) % 3 if mode == TRIANGLES or len(corners) < 3 else 0
-    if len(found) > limits.MESH_FACES:
+    if len(triangles) > limits.MESH_FACES:
         raise GltfError(f"has more than {limits.MESH_FACES:,} triangles", code="too-large")
-    if len(found) and (found.min() < 0 or found.max() >= points):
+    if len(triangles) and (triangles.min() < 0 or triangles.max() >= points):
         raise GltfError("has a triangle that names a point which is not there", _EXPORT)
-    return found, over
+    return triangles, over

@@ -23,7 +23,7 @@ from antdsl.scene.geometry.gltf_file import (
     scene_roots,
 )
 from antdsl.scene.geometry.import_notes import ImportNotes
-from antdsl.scene.geometry.matrices import after, applied, determinant, of_parts, still
+from antdsl.scene.geometry.matrices import applied, compose, determinant, of_parts, still
 from antdsl.scene.geometry.mesh_text import VERTICES, MeshError
 from antdsl.scene.geometry.polygons import PolygonMesh
 
@@ -53,41 +53,41 @@ def _read(file: Gltf, notes: ImportNotes, part: str | None) -> PolygonMesh:
     nodes, meshes = file.top("nodes"), file.top("meshes")
     parents = node_parents(file)
     roots = scene_roots(file) or [number for number, parent in enumerate(parents) if parent < 0]
-    shown = nodes_below(file, roots)
-    chosen = set(shown) if part is None else _named(file, shown, part)
+    scene_nodes = nodes_below(file, roots)
+    chosen = set(scene_nodes) if part is None else _named(file, scene_nodes, part)
     notes.skip("animations", len(file.top("animations")))
-    in_scene = set(shown)
+    in_scene = set(scene_nodes)
     others = [number for number, node in enumerate(nodes) if "mesh" in node and number not in in_scene]
     if part is None and others:
         notes.skip("nodes with a mesh outside of the scene", len(others))
-    hidden = set(nodes_below(file, _tops([n for n in shown if _is_hidden(file, nodes[n])], parents)))
+    hidden = set(nodes_below(file, _tops([n for n in scene_nodes if _is_hidden(file, nodes[n])], parents)))
     unseen = sum("mesh" in nodes[number] for number in hidden & chosen)
     notes.skip(f"nodes with a mesh that are not visible ({_VISIBILITY})", unseen)
     chosen -= hidden
-    ways: dict[int, Floats] = {}
+    transforms: dict[int, Floats] = {}
     points: list[Floats] = []
     faces: list[NDArray[np.int64]] = []
     count = 0
-    for number in shown:
+    for number in scene_nodes:
         node = nodes[number]
-        above = ways.get(parents[number], still())
-        ways[number] = after(above, _way(file, node))
+        above = transforms.get(parents[number], still())
+        transforms[number] = compose(above, _node_transform(file, node))
         mesh = file.index(node, "mesh", len(meshes))
         if number not in chosen or mesh is None:
             continue
-        way = ways[number]
+        transform = transforms[number]
         if "skin" in node:  # by the specification the node's own transform does not count
             notes.skip(f"the skin of `{file.name(node, 'a node')}`: its mesh is read as it was modelled")
-            way = still()
+            transform = still()
         if _INSTANCES in file.object(node, "extensions"):
             notes.skip("instances of a mesh (EXT_mesh_gpu_instancing)")
         for primitive in file.objects(meshes[mesh], "primitives"):
-            found = _primitive(file, primitive, notes)
-            if found is None:
+            geometry = _primitive(file, primitive, notes)
+            if geometry is None:
                 continue
-            own, triangles = found
-            points.append(applied(way, own))
-            faces.append((triangles[:, [0, 2, 1]] if determinant(way) < 0 else triangles) + count)
+            own, triangles = geometry
+            points.append(applied(transform, own))
+            faces.append((triangles[:, [0, 2, 1]] if determinant(transform) < 0 else triangles) + count)
             count += len(own)
             if count > VERTICES or sum(map(len, faces)) > limits.MESH_FACES:
                 raise MeshError(f"has more than {limits.MESH_FACES:,} faces", "use a lighter mesh")
@@ -102,17 +102,17 @@ def _is_hidden(file: Gltf, node: dict[str, Any]) -> bool:
 
 def _tops(numbers: list[int], parents: list[int]) -> list[int]:
     """Return the nodes that are not descendants of another one in the list."""
-    some, found = set(numbers), []
+    chosen, tops = set(numbers), []
     for number in numbers:
         above = parents[number]
-        while above >= 0 and above not in some:
+        while above >= 0 and above not in chosen:
             above = parents[above]
         if above < 0:
-            found.append(number)
-    return found
+            tops.append(number)
+    return tops
 
 
-def _way(file: Gltf, node: dict[str, Any]) -> Floats:
+def _node_transform(file: Gltf, node: dict[str, Any]) -> Floats:
     """Return the transform (3, 4) from a node's space to that of its parent."""
     if "matrix" in node:
         return file.floats(node, "matrix", tuple(np.eye(4).ravel())).reshape(4, 4).T[:3]
@@ -123,13 +123,13 @@ def _way(file: Gltf, node: dict[str, Any]) -> Floats:
     )
 
 
-def _named(file: Gltf, shown: list[int], part: str) -> set[int]:
+def _named(file: Gltf, scene_nodes: list[int], part: str) -> set[int]:
     """Return the nodes that have a name, or have a mesh of that name, and all nodes below them."""
     from antdsl.diagnostics.suggestion import nearest_name
 
     nodes, meshes = file.top("nodes"), file.top("meshes")
     names: dict[str, list[int]] = {}
-    for number in shown:
+    for number in scene_nodes:
         mesh = file.index(nodes[number], "mesh", len(meshes))
         of = {file.name(nodes[number], ""), "" if mesh is None else file.name(meshes[mesh], "")}
         for name in of - {""}:
@@ -138,11 +138,11 @@ def _named(file: Gltf, shown: list[int], part: str) -> set[int]:
         near = nearest_name(part, names)
         known = ", ".join(f"`{name[:40]}`" for name in list(names)[:8]) or "no names"
         raise MeshError(f"has no node `{part[:60]}`: " + (f"did you mean `{near}`?" if near else f"it has {known}"), None)
-    found: set[int] = set()
+    chosen: set[int] = set()
     for number in names[part]:
-        if number not in found:
-            found.update(nodes_below(file, [number]))
-    return found
+        if number not in chosen:
+            chosen.update(nodes_below(file, [number]))
+    return chosen
 
 
 def _primitive(file: Gltf, primitive: dict[str, Any], notes: ImportNotes) -> tuple[Floats, NDArray[np.int64]] | None:
@@ -154,12 +154,12 @@ def _primitive(file: Gltf, primitive: dict[str, Any], notes: ImportNotes) -> tup
         return None
     if _DRACO in file.object(primitive, "extensions"):
         raise GltfError("is compressed with Draco, which is not read", "export it without compression")
-    given = file.object(primitive, "attributes")
-    if "POSITION" not in given:
+    attributes = file.object(primitive, "attributes")
+    if "POSITION" not in attributes:
         notes.skip("primitives without positions")
         return None
-    points = file.accessor(given["POSITION"], 3).astype(np.float64)
+    points = file.accessor(attributes["POSITION"], 3).astype(np.float64)
     notes.skip("morph targets", len(file.listed(primitive, "targets")))
-    found, over = primitive_triangles(file, primitive, len(points))
+    triangles, over = primitive_triangles(file, primitive, len(points))
     notes.skip("corners of an incomplete triangle", over)
-    return points, found
+    return points, triangles

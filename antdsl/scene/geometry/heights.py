@@ -30,8 +30,8 @@ def read_heights(data: bytes, name: str, array: str | None = None, layer: int | 
     if kind == "npz":
         samples = _array(data, array, layer)
     elif kind in IMAGES:
-        for key, given in (("array", array), ("layer", layer)):
-            if given is not None:
+        for key, value in (("array", array), ("layer", layer)):
+            if value is not None:
                 raise MeshError("is an image, which has one layer of samples", f"leave `{key}` out")
         samples = _image(data, IMAGES[kind])
     else:
@@ -53,8 +53,8 @@ def _image(data: bytes, form: str) -> Floats:
         raise MeshError("has several pages", "save one of them")
     if image.samples is None:
         raise MeshError(f"has no samples of 16 bits in one channel (its mode is {image.mode})", "save it as grey with 16 bits")
-    found = to_float64(image.samples)
-    return found if image.mode == "F" else found / _GREY
+    samples = to_float64(image.samples)
+    return samples if image.mode == "F" else samples / _GREY
 
 
 def _array(data: bytes, array: str | None, layer: int | None) -> Floats:
@@ -65,23 +65,23 @@ def _array(data: bytes, array: str | None, layer: int | None) -> Floats:
     if array is None and len(arrays) != 1:
         names = ", ".join(f"`{each}`" for each in arrays) or "none"
         raise MeshError(f"has {len(arrays)} arrays, {names}", "name one: `array: …`")
-    found: NDArray[Any] | None = next(iter(arrays.values()), None) if array is None else arrays.get(array)
-    if found is None:
+    samples: NDArray[Any] | None = next(iter(arrays.values()), None) if array is None else arrays.get(array)
+    if samples is None:
         raise MeshError(f"has no array `{array}`")
-    if found.dtype.kind not in "fiu":
+    if samples.dtype.kind not in "fiu":
         raise MeshError("has an array of no numbers")
-    if found.ndim == 3:
+    if samples.ndim == 3:
         if layer is None:
-            raise MeshError(f"has {found.shape[0]} layers of samples", "say which: `layer: 0`")
-        if layer >= found.shape[0]:
-            raise MeshError(f"has no layer {layer}", f"write one from 0 to {found.shape[0] - 1}")
-        found = found[layer]
+            raise MeshError(f"has {samples.shape[0]} layers of samples", "say which: `layer: 0`")
+        if layer >= samples.shape[0]:
+            raise MeshError(f"has no layer {layer}", f"write one from 0 to {samples.shape[0] - 1}")
+        samples = samples[layer]
     elif layer is not None:
         raise MeshError("has one layer of samples", "leave `layer` out")
-    if found.ndim != 2:
-        raise MeshError(f"has an array with {found.ndim} dimensions", "save one with rows and columns")
-    _within(*found.shape)
-    return to_float64(found)
+    if samples.ndim != 2:
+        raise MeshError(f"has an array with {samples.ndim} dimensions", "save one with rows and columns")
+    _within(*samples.shape)
+    return to_float64(samples)
 
 
 def _within(rows: int, columns: int) -> None:

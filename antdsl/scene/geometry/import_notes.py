@@ -74,28 +74,29 @@ class MeshImport:
     left: int | None = None
 
 
-def import_lines(found: MeshImport, units: str) -> Iterator[str]:
+def import_lines(mesh_import: MeshImport, units: str) -> Iterator[str]:
     """The report as lines of text."""
-    yield f"{found.file}, {found.form}: {_count(found.vertices, 'vertex', 'vertices')}, {_count(found.triangles, 'triangle')}"
-    size = " × ".join(f"{high - low:.9g}" for low, high in zip(found.low, found.high, strict=True))
-    low, high = (", ".join(f"{x:.9g}" for x in corner) for corner in (found.low, found.high))
+    counts = f"{_count(mesh_import.vertices, 'vertex', 'vertices')}, {_count(mesh_import.triangles, 'triangle')}"
+    yield f"{mesh_import.file}, {mesh_import.form}: {counts}"
+    size = " × ".join(f"{high - low:.9g}" for low, high in zip(mesh_import.low, mesh_import.high, strict=True))
+    low, high = (", ".join(f"{x:.9g}" for x in corner) for corner in (mesh_import.low, mesh_import.high))
     yield f"{size} {units}, from [{low}] to [{high}]"
     changes = [
-        f"{_count(found.polygons, 'polygon')} triangulated"
-        + (f", {found.concave:,} of them concave" if found.concave else "")
-        + (f", {found.crossing:,} crossing themselves" if found.crossing else "")
-        if found.polygons
+        f"{_count(mesh_import.polygons, 'polygon')} triangulated"
+        + (f", {mesh_import.concave:,} of them concave" if mesh_import.concave else "")
+        + (f", {mesh_import.crossing:,} crossing themselves" if mesh_import.crossing else "")
+        if mesh_import.polygons
         else "",
-        f"{_count(found.welded, 'vertex', 'vertices')} welded" if found.welded else "",
-        f"{_count(found.dropped, 'degenerate or doubled triangle')} dropped"
-        + (f", {_count(found.left, 'triangle')} left" if found.left is not None else "")
-        if found.dropped
+        f"{_count(mesh_import.welded, 'vertex', 'vertices')} welded" if mesh_import.welded else "",
+        f"{_count(mesh_import.dropped, 'degenerate or doubled triangle')} dropped"
+        + (f", {_count(mesh_import.left, 'triangle')} left" if mesh_import.left is not None else "")
+        if mesh_import.dropped
         else "",
-        f"open, {_count(found.border_edges, 'border edge')}" if found.border_edges else "closed, no border edges",
+        f"open, {_count(mesh_import.border_edges, 'border edge')}" if mesh_import.border_edges else "closed, no border edges",
     ]
     yield "; ".join(each for each in changes if each)
-    if found.skipped:
-        yield f"not read: {', '.join(found.skipped)}"
+    if mesh_import.skipped:
+        yield f"not read: {', '.join(mesh_import.skipped)}"
 
 
 def _count(number: int, one: str, many: str | None = None) -> str:

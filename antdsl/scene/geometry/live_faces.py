@@ -13,7 +13,7 @@ Ints = NDArray[np.int32]
 
 _JOINED = 1e-6  # of the extent of all surfaces: corners nearer than this are one corner
 _FLAT = 1e-7  # height over longest edge below which a triangle is a line
-_APART = 5.0  # grains: corners with this much room about them are joined with no other
+_ISOLATION = 5.0  # grains: corners with this much room about them are joined with no other
 _TRIED = 8  # faces that are looked at before all are
 
 
@@ -41,15 +41,15 @@ def has_live_face(vertices: Floats, faces: Ints, extent: float) -> bool:
     Usually one of the largest faces has corners far from all others, so that not all corners need numbers."""
     a, b, c = (vertices[faces[:, k]] for k in range(3))
     area = np.where(has_area(a, b, c), _length(np.cross(b - a, c - a)), 0.0)
-    room = _APART * extent * _JOINED
+    clearance = _ISOLATION * extent * _JOINED
     for face in np.argsort(-area, kind="stable")[:_TRIED]:
         if not area[face]:
             break
-        apart = 0
+        isolated_count = 0
         for corner in vertices[faces[face]]:
             away = np.abs(vertices - corner).max(axis=1)
-            apart += not ((away > 0) & (away <= room)).any()
-        if apart >= 2:
+            isolated_count += not ((away > 0) & (away <= clearance)).any()
+        if isolated_count >= 2:
             return True
     return bool(live_faces(corner_numbers(vertices, faces, np.zeros(len(faces), np.int32), extent), a, b, c).any())
 
@@ -91,11 +91,11 @@ def components(pairs: NDArray[np.int64], count: int) -> NDArray[np.int32]:
     return numbers
 
 
-def _touching(places: Floats, owner: Ints, cell: NDArray[np.int64], grain: float) -> NDArray[np.int64]:
+def _touching(points: Floats, owner: Ints, cell: NDArray[np.int64], grain: float) -> NDArray[np.int64]:
     """Return cell numbers in which cells of one owner share a number if they have corners nearer than `grain` across their
     border."""
     begin = np.unique(cell, return_index=True)[1]
-    near = np.stack(pairs_within(places[begin], grain), axis=1)
+    near = np.stack(pairs_within(points[begin], grain), axis=1)
     near = near[owner[begin][near[:, 0]] == owner[begin][near[:, 1]]]
     if not near.size:
         return cell

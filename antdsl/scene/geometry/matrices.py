@@ -15,94 +15,94 @@ _TURN = Decimal("6.2831853071795864769252867665590057683943387987502116419498891
 
 def still(*shape: int) -> Floats:
     """Return identity transforms (*shape, 3, 4)."""
-    made = np.zeros((*shape, 3, 4))
-    made[..., [0, 1, 2], [0, 1, 2]] = 1.0
-    return made
+    transforms = np.zeros((*shape, 3, 4))
+    transforms[..., [0, 1, 2], [0, 1, 2]] = 1.0
+    return transforms
 
 
 def of_parts(translation: Floats, rotation: Floats, scale: Floats) -> Floats:
     """Return the transform (3, 4) that scales, then rotates by a quaternion x y z w of any length, then shifts."""
     x, y, z, w = rotation / max(float(np.sqrt((rotation * rotation).sum())), 1e-30)
-    made = still()
-    made[:, :3] = [
+    transform = still()
+    transform[:, :3] = [
         [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
         [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
         [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
     ]
-    made[:, :3] *= scale
-    made[:, 3] = translation
-    return made
+    transform[:, :3] *= scale
+    transform[:, 3] = translation
+    return transform
 
 
-def after(outer: Floats, inner: Floats) -> Floats:
+def compose(outer: Floats, inner: Floats) -> Floats:
     """The inner way first, then the outer."""
-    made = product(outer[..., :3], inner)
-    made[..., 3] += outer[..., 3]
-    return made
+    composed = product(outer[..., :3], inner)
+    composed[..., 3] += outer[..., 3]
+    return composed
 
 
 def product(a: Floats, b: Floats) -> Floats:
     """Of matrices (…, j, 3) and (…, 3, k)."""
-    found: Floats = (a[..., 0, None] * b[..., 0:1, :] + a[..., 1, None] * b[..., 1:2, :]) + a[..., 2, None] * b[..., 2:3, :]
-    return found
+    result: Floats = (a[..., 0, None] * b[..., 0:1, :] + a[..., 1, None] * b[..., 1:2, :]) + a[..., 2, None] * b[..., 2:3, :]
+    return result
 
 
-def determinant(way: Floats) -> float:
+def determinant(transform: Floats) -> float:
     """Return the determinant of a transform (3, 4): the factor of volumes, negative if it mirrors."""
-    return float(determinants(way))
+    return float(determinants(transform))
 
 
-def determinants(ways: Floats) -> Floats:
+def determinants(transforms: Floats) -> Floats:
     """The same of ways (…, 3, 4)."""
-    a, b, c = (ways[..., row, :3] for row in range(3))
+    a, b, c = (transforms[..., row, :3] for row in range(3))
     across = np.cross(b, c)
-    found: Floats = (a[..., 0] * across[..., 0] + a[..., 1] * across[..., 1]) + a[..., 2] * across[..., 2]
-    return found
+    result: Floats = (a[..., 0] * across[..., 0] + a[..., 1] * across[..., 1]) + a[..., 2] * across[..., 2]
+    return result
 
 
-def scale(way: Floats) -> float:
+def scale(transform: Floats) -> float:
     """Return the factor of lengths, if it is the same in all directions."""
     with localcontext(prec=40):
-        return float(abs(Decimal(determinant(way))) ** (Decimal(1) / 3)) if determinant(way) else 0.0
+        return float(abs(Decimal(determinant(transform))) ** (Decimal(1) / 3)) if determinant(transform) else 0.0
 
 
 def cosine_and_sine(angle: float) -> tuple[float, float]:
     """Return cosine and sine of an angle in radians, correct to the last bit, by their series in decimal numbers."""
     with localcontext(prec=60):
         x = Decimal(angle) % _TURN
-        term, found, k = Decimal(1), [Decimal(0), Decimal(0)], 0
+        term, sums, k = Decimal(1), [Decimal(0), Decimal(0)], 0
         while abs(term) > Decimal(10) ** -50 or k < abs(x):
-            found[k % 2] += term if k % 4 < 2 else -term
+            sums[k % 2] += term if k % 4 < 2 else -term
             k += 1
             term = term * x / k
-        return float(found[0]), float(found[1])
+        return float(sums[0]), float(sums[1])
 
 
-def inverse(ways: Floats) -> Floats:
+def inverse(transforms: Floats) -> Floats:
     """Return the inverses of transforms (…, 3, 4) that have one."""
-    a, b, c = (ways[..., row, :3] for row in range(3))
-    turn = np.stack([np.cross(b, c), np.cross(c, a), np.cross(a, b)], axis=-1) / determinants(ways)[..., None, None]
-    return np.concatenate([turn, -product(turn, ways[..., 3:])], axis=-1)
+    a, b, c = (transforms[..., row, :3] for row in range(3))
+    turn = np.stack([np.cross(b, c), np.cross(c, a), np.cross(a, b)], axis=-1) / determinants(transforms)[..., None, None]
+    return np.concatenate([turn, -product(turn, transforms[..., 3:])], axis=-1)
 
 
-def has_inverse(way: Floats) -> bool:
+def has_inverse(transform: Floats) -> bool:
     """Return whether a transform has an inverse, that is, flattens nothing."""
-    return bool(have_inverses(way))
+    return bool(have_inverses(transform))
 
 
-def have_inverses(ways: Floats) -> NDArray[np.bool_]:
+def have_inverses(transforms: Floats) -> NDArray[np.bool_]:
     """The same of ways (…, 3, 4)."""
-    turn = ways[..., :3].reshape(*ways.shape[:-2], 9)
+    turn = transforms[..., :3].reshape(*transforms.shape[:-2], 9)
     square = (turn * turn).sum(axis=-1)
-    is_large = np.abs(determinants(ways)) > 1e-12 * square * np.sqrt(square)
-    return np.asarray(np.isfinite(ways).all(axis=(-2, -1)) & is_large)
+    is_large = np.abs(determinants(transforms)) > 1e-12 * square * np.sqrt(square)
+    return np.asarray(np.isfinite(transforms).all(axis=(-2, -1)) & is_large)
 
 
-def applied(way: Floats, points: Floats) -> Floats:
+def applied(transform: Floats, points: Floats) -> Floats:
     """Apply one transform (3, 4) to points (n, 3), or to each its own (n, 3, 4)."""
     x, y, z = (points[:, axis, None] for axis in range(3))
-    found: Floats = ((way[..., 0] * x + way[..., 1] * y) + way[..., 2] * z) + way[..., 3]
-    return found
+    result: Floats = ((transform[..., 0] * x + transform[..., 1] * y) + transform[..., 2] * z) + transform[..., 3]
+    return result
 
 
 def different(points: Floats) -> tuple[NDArray[np.int64], NDArray[np.bool_], NDArray[np.int64]]:

@@ -16,7 +16,7 @@ from antdsl import limits
 from antdsl.diagnostics.model import printable
 
 Floats = NDArray[np.float64]
-Whole = NDArray[np.int64]
+Integers = NDArray[np.int64]
 
 LINE_BYTES = limits.MIB
 VERTICES = 3 * limits.MESH_FACES
@@ -44,7 +44,7 @@ class MeshError(Exception):
         self.help = help
 
 
-def shown(word: bytes, most: int = 20) -> str:
+def display_word(word: bytes, most: int = 20) -> str:
     """Return a word of an untrusted file in a form that is safe in a message."""
     text = word[:most].decode("ascii", "replace")
     return printable(text)
@@ -95,11 +95,11 @@ class Block:
     """Lines of a text that have words. `number` int64[L]: the number of each line in the file, from 1; its words are `first[k]`
     to `first[k] + count[k]`. `start`, `end` int64[W]: the range of each word in the bytes `data`."""
 
-    number: Whole
-    first: Whole
-    count: Whole
-    start: Whole
-    end: Whole
+    number: Integers
+    first: Integers
+    count: Integers
+    start: Integers
+    end: Integers
     data: NDArray[np.uint8]
     _words: list[list[bytes]] = field(default_factory=list)
 
@@ -132,7 +132,7 @@ class Block:
         found[(found >= 65) & (found <= 90)] += 32
         return found.view("S8")[:, 0]
 
-    def floats(self, at: Whole, what: str) -> Floats:
+    def floats(self, at: Integers, what: str) -> Floats:
         """Return the words at indices `at` as numbers, same shape. Raises MeshError with the line of the first that is not a
         number."""
         flat = at.ravel()
@@ -145,10 +145,10 @@ class Block:
         try:
             if longest > _WORD_BYTES or ((self.data == 95).any() and any(b"_" in word for word in chosen)):
                 raise ValueError  # a number of Python alone
-            found = np.fromiter(map(float, chosen), np.float64, len(chosen))
+            numbers = np.fromiter(map(float, chosen), np.float64, len(chosen))
         except ValueError:
-            found = np.array([self._number(word, int(k), what) for word, k in zip(chosen, flat.tolist(), strict=True)])
-        return found.reshape(at.shape)
+            numbers = np.array([self._number(word, int(k), what) for word, k in zip(chosen, flat.tolist(), strict=True)])
+        return numbers.reshape(at.shape)
 
     def _number(self, word: bytes, at: int, what: str) -> float:
         try:
@@ -157,15 +157,15 @@ class Block:
             return float(word)
         except ValueError:
             decimal = re.fullmatch(rb"[+-]?[0-9]+,[0-9]+(?:[eE][+-]?[0-9]+)?", word)
-            help = f"write decimal points, such as `{shown(word.replace(b',', b'.'))}`" if decimal else _EXPORT
-            words = f"has in line {self.number_of(at):,} `{shown(word)}` for {what}, which is not a number"
+            help = f"write decimal points, such as `{display_word(word.replace(b',', b'.'))}`" if decimal else _EXPORT
+            words = f"has in line {self.number_of(at):,} `{display_word(word)}` for {what}, which is not a number"
             raise MeshError(words, help) from None
 
     def number_of(self, at: int) -> int:
         """The line of a word."""
         return int(self.number[np.searchsorted(self.first, at, side="right") - 1])
 
-    def integers(self, at: Whole, slash: bool = False) -> tuple[Whole, NDArray[np.bool_]]:
+    def integers(self, at: Integers, slash: bool = False) -> tuple[Integers, NDArray[np.bool_]]:
         """Return the words at indices `at` as integers, and which of them are integers. With `slash`, only the part before a
         slash counts, as in `1/2/3`."""
         start, end = self.start[at], self.end[at]
@@ -181,11 +181,11 @@ class Block:
             value = np.where(running, value * 10 + digit, value)
             length += running
         stop = start + length
-        whole = stop >= end
+        is_integer = stop >= end
         if slash and (slashes := self.data == 47).any():
-            before = np.concatenate(([0], np.cumsum(slashes)))
-            whole |= slashes[np.minimum(stop, len(self.data) - 1)] & (before[end] - before[self.start[at]] <= 2)
-        return np.where(negative, -value, value), (length > 0) & (length <= _DIGITS) & whole
+            slash_counts = np.concatenate(([0], np.cumsum(slashes)))
+            is_integer |= slashes[np.minimum(stop, len(self.data) - 1)] & (slash_counts[end] - slash_counts[self.start[at]] <= 2)
+        return np.where(negative, -value, value), (length > 0) & (length <= _DIGITS) & is_integer
 
 
 def blocks(text: bytes, number: int = 1) -> Iterator[Block]:

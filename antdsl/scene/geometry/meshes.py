@@ -50,11 +50,11 @@ def read_mesh(data: bytes, name: str, group: str | None = None, beside: Beside |
 
     `group`: only one group or object of an .obj file, or only what is at and below a node of glTF. `beside(path, cap)` reads a
     file in the same folder."""
-    kept = len(data) <= _KEPT_BYTES and not name.lower().endswith(".gltf")  # buffers of .gltf files may be in other files
-    return _read(data, name, group) if kept else _sound_file(data, name, group, beside)
+    is_cached = len(data) <= _CACHED_BYTES and not name.lower().endswith(".gltf")  # buffers of .gltf files may be in other files
+    return _read(data, name, group) if is_cached else _sound_file(data, name, group, beside)
 
 
-_KEPT_BYTES = 2 * limits.MIB  # of a file that is read again for the next scene of a folder
+_CACHED_BYTES = 2 * limits.MIB  # of a file that is read again for the next scene of a folder
 
 
 @lru_cache(maxsize=16)
@@ -111,13 +111,13 @@ def _cut(mesh: PolygonMesh, notes: ImportNotes) -> tuple[Floats, Faces]:
         used = mesh.indices[bad[mesh.indices]]
         if len(used):
             raise MeshError(f"has a vertex (number {used[0]}) that is not a finite point")
-    found = triangulate(points, mesh.counts, mesh.indices)
+    triangulation = triangulate(points, mesh.counts, mesh.indices)
     small = mesh.counts < 3
     notes.skip("faces of fewer than three corners", int(small.sum()))
-    notes.cut, notes.concave, notes.crossing = found.cut, found.concave, len(found.crossing)
-    notes.crossing_face = found.crossing[0] if found.crossing else 0
-    notes.vertices, notes.triangles = len(points), len(found.corners)
-    return points, mesh.indices[found.corners]
+    notes.cut, notes.concave, notes.crossing = triangulation.cut, triangulation.concave, len(triangulation.crossing)
+    notes.crossing_face = triangulation.crossing[0] if triangulation.crossing else 0
+    notes.vertices, notes.triangles = len(points), len(triangulation.corners)
+    return points, mesh.indices[triangulation.corners]
 
 
 def sound(vertices: Floats, faces: Faces, notes: ImportNotes | None = None) -> RawMesh:
@@ -146,16 +146,16 @@ def sound(vertices: Floats, faces: Faces, notes: ImportNotes | None = None) -> R
     keep &= single
     if not keep.any():
         raise MeshError("has no face with an area")
-    kept = faces[keep]
+    sound_faces = faces[keep]
     # vertices that no face uses would stretch the bounding box
     numbers = np.full(len(vertices), -1, np.int64)
     used[:] = False
-    used[kept.ravel()] = True
+    used[sound_faces.ravel()] = True
     numbers[used] = np.arange(int(used.sum()))
     return RawMesh(
         np.ascontiguousarray(vertices[used]),
-        numbers[kept],
-        int(len(faces) - len(kept)),
+        numbers[sound_faces],
+        int(len(faces) - len(sound_faces)),
         np.flatnonzero(used),
         np.flatnonzero(keep),
         (len(vertices), len(faces)),
@@ -181,9 +181,9 @@ def _nothing_beside(path: str, cap: int) -> bytes:
     raise MeshError("has a buffer in another file", "export it as .glb, which has its buffers inside")
 
 
-def turned_up(points: Floats, own: str, wanted: str) -> Floats:
-    """Return points of a file with up axis `own` in a scene with up axis `wanted`: rotated by a quarter turn about x."""
-    if own == wanted:
+def turned_up(points: Floats, own: str, scene_up: str) -> Floats:
+    """Return points of a file with up axis `own` in a scene with up axis `scene_up`: rotated by a quarter turn about x."""
+    if own == scene_up:
         return points
     x, y, z = points.T
     return np.column_stack((x, z, -y) if own == "z" else (x, -z, y))
@@ -209,11 +209,11 @@ def placed(
     """Return a file's mesh in the scene: millimetres, the scene's axes. The outside of a mirrored mesh stays outside. Raises
     MeshError if it is too far out."""
     vertices = rotated(turned_up(mesh.vertices * factor, own_up, up), angles) + np.array(at)
-    made = within_reach(vertices, mesh.faces[:, ::-1] if factor < 0 else mesh.faces)
+    mesh_data = within_reach(vertices, mesh.faces[:, ::-1] if factor < 0 else mesh.faces)
     if not mesh.vertices.flags.writeable:
-        for array in (made.vertices, made.faces):
+        for array in (mesh_data.vertices, mesh_data.faces):
             array.setflags(write=False)
-    return made
+    return mesh_data
 
 
 def within_reach(vertices: Floats, faces: NDArray[np.integer]) -> MeshData:

@@ -13,13 +13,13 @@ from antdsl.scene.geometry.mesh_text import (
     VERTICES,
     Block,
     Floats,
+    Integers,
     MeshError,
-    Whole,
     blocks,
     check_count,
     check_text,
+    display_word,
     plain_text,
-    shown,
 )
 from antdsl.scene.geometry.polygons import PolygonMesh
 
@@ -44,9 +44,9 @@ class _Reader:
     notes: ImportNotes
     group: str | None
     points: list[Floats] = field(default_factory=list)
-    indices: list[Whole] = field(default_factory=list)
-    counts: list[Whole] = field(default_factory=list)
-    lines: list[Whole] = field(default_factory=list)
+    indices: list[Integers] = field(default_factory=list)
+    counts: list[Integers] = field(default_factory=list)
+    lines: list[Integers] = field(default_factory=list)
     vertices: int = 0
     corners: int = 0
     names: dict[str, None] = field(default_factory=dict)
@@ -57,13 +57,13 @@ class _Reader:
         """Read the lines of a block."""
         kind = block.letters()
         vertex, face = kind == b"v", (kind == b"f") | (kind == b"fo")
-        before = self.vertices + np.cumsum(vertex)
+        vertex_counts = self.vertices + np.cumsum(vertex)
         if vertex.any():
             self._vertices(block.number[vertex], block.first[vertex], block.count[vertex], block)
         within = np.ones(len(block), np.bool_) if self.group is None else self._is_chosen(block, kind)
         chosen = face & within
         if chosen.any():
-            self._faces(block, np.flatnonzero(chosen), before[chosen])
+            self._faces(block, np.flatnonzero(chosen), vertex_counts[chosen])
         rest = within & ~(vertex | face | (kind == b"vn") | (kind == b"vt"))
         for k in np.flatnonzero(rest).tolist():
             word = block.line(k)[0].lower()
@@ -75,9 +75,9 @@ class _Reader:
             elif word in _FREE_FORM:
                 self.notes.skip("free-form geometry", 1, line)
             else:
-                self.notes.skip(f"unknown keyword `{shown(word)}`", 1, line)
+                self.notes.skip(f"unknown keyword `{display_word(word)}`", 1, line)
 
-    def _vertices(self, number: Whole, first: Whole, count: Whole, block: Block) -> None:
+    def _vertices(self, number: Integers, first: Integers, count: Integers, block: Block) -> None:
         short = np.flatnonzero(count < 4)
         if len(short):
             raise MeshError(f"has a vertex of fewer than three numbers in line {number[short[0]]:,}")
@@ -85,7 +85,7 @@ class _Reader:
         check_count(self.vertices, VERTICES, "vertices")
         self.points.append(block.floats(first[:, None] + np.arange(1, 4), "a vertex"))
 
-    def _faces(self, block: Block, lines: Whole, before: Whole) -> None:
+    def _faces(self, block: Block, lines: Integers, vertex_counts: Integers) -> None:
         count = block.count[lines] - 1
         number = block.number[lines]
         short = np.flatnonzero(count < 3)
@@ -95,14 +95,14 @@ class _Reader:
         check_count(self.corners // 3, limits.MESH_FACES, "faces")
         within = np.arange(int(count.sum())) - np.repeat(np.cumsum(count) - count, count)
         at = np.repeat(block.first[lines] + 1, count) + within
-        index, whole = block.integers(at, slash=True)
-        wrong = np.flatnonzero(~whole | (index == 0))
+        index, is_integer = block.integers(at, slash=True)
+        wrong = np.flatnonzero(~is_integer | (index == 0))
         if len(wrong):
             word = block.words[at[wrong[0]]]
             raise MeshError(
-                f"has a corner `{shown(word)}` that is no vertex number in line {block.number_of(int(at[wrong[0]])):,}"
+                f"has a corner `{display_word(word)}` that is no vertex number in line {block.number_of(int(at[wrong[0]])):,}"
             )
-        back = np.repeat(before, count)
+        back = np.repeat(vertex_counts, count)
         absent = np.flatnonzero(index < -back)
         if len(absent):
             raise MeshError(_not_there(int(index[absent[0]]), block.number_of(int(at[absent[0]]))))
@@ -112,10 +112,10 @@ class _Reader:
 
     def _is_chosen(self, block: Block, kind: NDArray[np.bytes_]) -> NDArray[np.bool_]:
         """Return whether each line is below the named group or object."""
-        found = np.zeros(len(block), np.bool_)
+        is_chosen = np.zeros(len(block), np.bool_)
         begin = 0
         for k in np.flatnonzero((kind == b"g") | (kind == b"o")).tolist():
-            found[begin:k] = self.in_group or self.in_object
+            is_chosen[begin:k] = self.in_group or self.in_object
             words = [word.decode("utf-8", "replace") for word in block.line(k)[1:]]
             if kind[k] == b"g":
                 words = words or ["default"]
@@ -126,8 +126,8 @@ class _Reader:
             if len(self.names) < 1000:
                 self.names.update(dict.fromkeys(word[:60] for word in words[:100]))
             begin = k
-        found[begin:] = self.in_group or self.in_object
-        return found
+        is_chosen[begin:] = self.in_group or self.in_object
+        return is_chosen
 
     def mesh(self) -> PolygonMesh:
         """All that was read."""
@@ -153,5 +153,5 @@ def _no_group(group: str, names: list[str]) -> str:
     if group in names:
         return f"has no faces in its group `{group}`"
     near = nearest_name(group, names)
-    there = f"did you mean `{near}`?" if near else "it has " + (", ".join(f"`{n[:40]}`" for n in names[:8]) or "no groups")
-    return f"has no group `{group[:60]}`: {there}"
+    hint = f"did you mean `{near}`?" if near else "it has " + (", ".join(f"`{n[:40]}`" for n in names[:8]) or "no groups")
+    return f"has no group `{group[:60]}`: {hint}"

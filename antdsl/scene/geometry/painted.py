@@ -82,13 +82,13 @@ def _columns(element: Element, attribute: str | tuple[str, ...], width: int) -> 
 
 
 def _scaled(data: bytes, header: Header, element: Element, columns: tuple[str, ...], width: int) -> Floats:
-    found = read_columns(data, header, element, columns)
+    values = read_columns(data, header, element, columns)
     kinds = {p.name: p.kind for p in element.properties}
     if any(kinds[name] == "u1" for name in columns):
         if width == 3:
             raise PaintError("has a vector in bytes, which cannot point backwards", "write it as floating-point numbers")
-        found = found / 255.0
-    return found
+        values = values / 255.0
+    return values
 
 
 # --- .npz ------------------------------------------------------------------------------------------------------------

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from antdsl import limits
-from antdsl.scene.geometry.mesh_text import shown
+from antdsl.scene.geometry.mesh_text import display_word
 
 KINDS = {
     "char": "i1", "uchar": "u1", "short": "i2", "ushort": "u2", "int": "i4", "uint": "u4", "float": "f4", "double": "f8",
@@ -69,11 +69,11 @@ def read_header(data: bytes) -> Header:
             order = _FORMATS[words[1].lower()]
         elif head == "element" and len(words) == 3 and re.fullmatch("[0-9]{1,12}", words[2]) and len(elements) < _ELEMENTS:
             elements.append(Element(words[1], int(words[2]), ()))
-        elif head == "property" and elements and (found := _property(words[1:])):
+        elif head == "property" and elements and (parsed_property := _property(words[1:])):
             last = elements[-1]
-            elements[-1] = Element(last.name, last.count, (*last.properties, found))
+            elements[-1] = Element(last.name, last.count, (*last.properties, parsed_property))
         else:
-            raise HeaderError(f"has a header line that is not understood: `{shown(line, 40)}`")
+            raise HeaderError(f"has a header line that is not understood: `{display_word(line, 40)}`")
     if order is None:
         raise HeaderError("does not say its format")
     header = Header(order, tuple(elements), body, len(lines) + 3)

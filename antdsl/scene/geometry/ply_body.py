@@ -13,12 +13,12 @@ from numpy.typing import NDArray
 from antdsl import limits
 from antdsl.scene.geometry.arrays import to_float64
 from antdsl.scene.geometry.import_notes import ImportNotes
-from antdsl.scene.geometry.mesh_text import Block, MeshError, blocks, plain_text, shown
+from antdsl.scene.geometry.mesh_text import Block, MeshError, blocks, display_word, plain_text
 from antdsl.scene.geometry.ply import Element, Header, HeaderError, read_header
 from antdsl.scene.geometry.polygons import PolygonMesh, strip_triangles
 
 Floats = NDArray[np.float64]
-Whole = NDArray[np.int64]
+Integers = NDArray[np.int64]
 
 _INDEX = ("vertex_indices", "vertex_index", "vertexindices", "vertex_indexes")
 _SHORT = "is shorter than its header says"
@@ -30,7 +30,7 @@ class Column:
     element."""
 
     values: NDArray[Any]
-    counts: Whole | None = None
+    counts: Integers | None = None
 
 
 Columns = Mapping[str, Column]
@@ -43,27 +43,27 @@ def read_ply(data: bytes, notes: ImportNotes) -> PolygonMesh:
     notes.form = {"": "text", "<": "binary", ">": "binary (big-endian)"}[header.order] + " .ply"
     named = {e.name.lower(): e for e in reversed(header.elements)}
     vertex, face, strips = (named.get(word) for word in ("vertex", "face", "tristrips"))
-    wanted: dict[int, Collection[str]] = {}
+    requested_names: dict[int, Collection[str]] = {}
     if vertex is None or not any(e is not None and e.count for e in (face, strips)):
         raise HeaderError("has no faces")
     axes = {p.name.lower(): p.name for p in vertex.properties if not p.count}
     if not {"x", "y", "z"} <= axes.keys():
         raise HeaderError("has vertices without x, y and z")
-    wanted[id(vertex)] = [axes[axis] for axis in "xyz"]
+    requested_names[id(vertex)] = [axes[axis] for axis in "xyz"]
     lists = {id(e): _corners_of(e) for e in (face, strips) if e is not None and e.count}
-    wanted |= {key: [name] for key, name in lists.items()}
+    requested_names |= {key: [name] for key, name in lists.items()}
     for element in header.elements:
-        if element.count and id(element) not in wanted:
-            notes.skip(f"element `{shown(element.name.encode())}` ({element.count:,})")
-    found = read_elements(data, header, wanted, notes)
-    columns = found[id(vertex)]
+        if element.count and id(element) not in requested_names:
+            notes.skip(f"element `{display_word(element.name.encode())}` ({element.count:,})")
+    element_columns = read_elements(data, header, requested_names, notes)
+    columns = element_columns[id(vertex)]
     with np.errstate(invalid="ignore"):  # a signalling NaN warns on conversion; values that are not finite are rejected later
         points = to_float64(np.stack([columns[axes[axis]].values for axis in "xyz"], axis=1))
     counts, indices = [np.empty(0, np.int64)], [np.empty(0, np.int64)]
     for shape in (face, strips):
         if shape is None or not shape.count:
             continue
-        column = found[id(shape)][lists[id(shape)]]
+        column = element_columns[id(shape)][lists[id(shape)]]
         assert column.counts is not None
         if shape is face:
             counts.append(column.counts)
@@ -75,7 +75,7 @@ def read_ply(data: bytes, notes: ImportNotes) -> PolygonMesh:
     return PolygonMesh(points, np.concatenate(counts), np.concatenate(indices))
 
 
-def _with_restarts(values: Whole, counts: Whole) -> Whole:
+def _with_restarts(values: Integers, counts: Integers) -> Integers:
     """The corners of several strips with -1 between them."""
     return np.insert(values, np.cumsum(counts)[:-1], -1)
 
@@ -95,29 +95,33 @@ def read_columns(data: bytes, header: Header, element: Element, names: Sequence[
     """Return some single-valued properties of one element, (count, len(names)). Raises HeaderError if the body does not match the
     header."""
     try:
-        found = read_elements(data, header, {id(element): names}, ImportNotes())[id(element)]
+        columns = read_elements(data, header, {id(element): names}, ImportNotes())[id(element)]
     except MeshError as why:
         raise HeaderError(str(why)) from None
-    return to_float64(np.stack([found[name].values for name in names], axis=1)).reshape(-1, len(names))
+    return to_float64(np.stack([columns[name].values for name in names], axis=1)).reshape(-1, len(names))
 
 
-def read_elements(data: bytes, header: Header, wanted: Mapping[int, Collection[str]], notes: ImportNotes) -> dict[int, Columns]:
+def read_elements(
+    data: bytes, header: Header, requested_names: Mapping[int, Collection[str]], notes: ImportNotes
+) -> dict[int, Columns]:
     """Return the requested columns, by the id of a header element and the property's name. Other columns are skipped."""
     for element in header.elements:
         names = [p.name for p in element.properties]
         if twice := next((name for k, name in enumerate(names) if name in names[:k]), None):
-            raise HeaderError(f"names the property `{shown(twice.encode())}` of `{shown(element.name.encode())}` twice")
+            raise HeaderError(
+                f"names the property `{display_word(twice.encode())}` of `{display_word(element.name.encode())}` twice"
+            )
     read: _Text | _Binary = _Binary(data, header) if header.order else _Text(data, header)
-    found: dict[int, Columns] = {}
+    element_columns: dict[int, Columns] = {}
     for element in header.elements:
-        if len(found) == len(wanted):
+        if len(element_columns) == len(requested_names):
             break
-        columns = read.columns(element, wanted.get(id(element), ()))
-        if id(element) in wanted:
-            found[id(element)] = columns
+        columns = read.columns(element, requested_names.get(id(element), ()))
+        if id(element) in requested_names:
+            element_columns[id(element)] = columns
     else:
         read.note_rest(notes)
-    return found
+    return element_columns
 
 
 class _Text:
@@ -143,38 +147,38 @@ class _Text:
             if len(block):
                 notes.skip("lines after the last element", len(block), int(block.number[0]))
 
-    def columns(self, element: Element, wanted: Collection[str]) -> Columns:
-        parts: dict[str, list[Column]] = {name: [] for name in wanted}
+    def columns(self, element: Element, requested_names: Collection[str]) -> Columns:
+        parts: dict[str, list[Column]] = {name: [] for name in requested_names}
         count = 0
         for block in self._lines(element.count):
             count += len(block)
-            if wanted:
+            if requested_names:
                 self._read(block, element, parts)
         if count < element.count:
-            what = shown(element.name.encode())
+            what = display_word(element.name.encode())
             raise HeaderError(f"{_SHORT}: it has {count:,} of {element.count:,} {what} lines")
         return {name: _joined(each) for name, each in parts.items()}
 
     def _read(self, block: Block, element: Element, parts: Mapping[str, list[Column]]) -> None:
-        at, what = block.first, shown(element.name.encode())
+        at, what = block.first, display_word(element.name.encode())
         stop = block.first + block.count
         last = max(k for k, p in enumerate(element.properties) if p.name in parts)
         for p in element.properties[: last + 1] if any(p.count for p in element.properties) else element.properties:
             self._check(block, at < stop, what)
             if p.count is None:
                 if p.name in parts:
-                    parts[p.name].append(Column(block.floats(at, f"`{shown(p.name.encode())}` of a {what}")))
+                    parts[p.name].append(Column(block.floats(at, f"`{display_word(p.name.encode())}` of a {what}")))
                 at = at + 1
                 continue
-            count, whole = block.integers(at)
-            self._check(block, whole & (count >= 0), what)
+            count, is_integer = block.integers(at)
+            self._check(block, is_integer & (count >= 0), what)
             self._check(block, at + 1 + count <= stop, what)
             if p.name in parts:
                 within = np.arange(int(count.sum())) - np.repeat(np.cumsum(count) - count, count)
-                places = np.repeat(at + 1, count) + within
-                values, are_whole = block.integers(places)
+                word_indices = np.repeat(at + 1, count) + within
+                values, are_whole = block.integers(word_indices)
                 if not are_whole.all():
-                    line = block.number_of(int(places[np.flatnonzero(~are_whole)[0]]))
+                    line = block.number_of(int(word_indices[np.flatnonzero(~are_whole)[0]]))
                     self._check(block, block.number != line, what)
                 parts[p.name].append(Column(values, count))
             at = at + 1 + count
@@ -185,7 +189,7 @@ class _Text:
     def _check(block: Block, right: NDArray[np.bool_], what: str) -> None:
         if not right.all():
             k = int(np.flatnonzero(~right)[0])
-            text = shown(b" ".join(block.line(k)[:6]))
+            text = display_word(b" ".join(block.line(k)[:6]))
             raise HeaderError(f"has no whole {what} in line {block.number[k]:,}: `{text}`")
 
 
@@ -206,12 +210,12 @@ class _Binary:
         if self._data[self._at :].strip(b"\0 \n\r\t\x1a"):  # no padding
             notes.skip(f"{rest:,} bytes after the last element")
 
-    def columns(self, element: Element, wanted: Collection[str]) -> Columns:
+    def columns(self, element: Element, requested_names: Collection[str]) -> Columns:
         if not element.count:
             return {p.name: Column(np.empty(0), np.empty(0, np.int64) if p.count else None) for p in element.properties}
         lengths = self._lengths(element)
         if lengths is None:
-            return self._uneven(element, wanted)
+            return self._uneven(element, requested_names)
         layout: list[tuple[str, str] | tuple[str, str, tuple[int]]] = []
         for p in element.properties:
             if p.count is not None:
@@ -220,50 +224,50 @@ class _Binary:
                 layout.append((p.name, self._order + p.kind))
         kind = np.dtype(layout)
         if self._at + element.count * kind.itemsize > len(self._data):
-            return self._uneven(element, wanted)
+            return self._uneven(element, requested_names)
         rows = np.frombuffer(self._data, kind, element.count, self._at)
         if any((rows[f"{name}#"] != length).any() for name, length in lengths.items()):
-            return self._uneven(element, wanted)
+            return self._uneven(element, requested_names)
         self._at += rows.nbytes
         found = {}
         for p in element.properties:
-            if p.name in wanted and p.count is None:
+            if p.name in requested_names and p.count is None:
                 found[p.name] = Column(rows[p.name])
-            elif p.name in wanted:
+            elif p.name in requested_names:
                 found[p.name] = Column(rows[p.name].astype(np.int64).reshape(-1), np.full(element.count, lengths[p.name]))
         return found
 
     def _lengths(self, element: Element) -> dict[str, int] | None:
         """Return the list lengths of the first element, which all elements usually share. None if that is impossible."""
-        at, found = self._at, {}
+        at, lengths = self._at, {}
         for p in element.properties:
             if p.count is not None:
-                length = self._whole(p.count, at, element, 0)
+                length = self._read_count(p.count, at, element, 0)
                 if length * np.dtype(p.kind).itemsize > len(self._data) - at:
                     return None
-                found[p.name] = length
+                lengths[p.name] = length
                 at += np.dtype(p.count).itemsize + length * np.dtype(p.kind).itemsize
             else:
                 at += np.dtype(p.kind).itemsize
-        return found
+        return lengths
 
-    def _whole(self, kind: str, at: int, element: Element, row: int) -> int:
+    def _read_count(self, kind: str, at: int, element: Element, row: int) -> int:
         if at + np.dtype(kind).itemsize > len(self._data):
-            raise HeaderError(f"{_SHORT}: it ends in its {shown(element.name.encode())} {row}")
+            raise HeaderError(f"{_SHORT}: it ends in its {display_word(element.name.encode())} {row}")
         count = np.frombuffer(self._data, self._order + kind, 1, at)[0]
         if not (count >= 0 and np.isfinite(count)):
             raise HeaderError(
-                f"has a list of {count:,} values in its {shown(element.name.encode())} {row}, more than the file has"
+                f"has a list of {count:,} values in its {display_word(element.name.encode())} {row}, more than the file has"
             )
         return int(count)
 
-    def _uneven(self, element: Element, wanted: Collection[str]) -> Columns:
+    def _uneven(self, element: Element, requested_names: Collection[str]) -> Columns:
         """Return lists of different lengths: first find where each begins, element by element, then read all values at once."""
-        data, at, name = self._data, self._at, shown(element.name.encode())
-        starts: dict[str, list[int]] = {p.name: [] for p in element.properties if p.name in wanted}
-        counts: dict[str, list[int]] = {p.name: [] for p in element.properties if p.name in wanted and p.count}
+        data, at, name = self._data, self._at, display_word(element.name.encode())
+        starts: dict[str, list[int]] = {p.name: [] for p in element.properties if p.name in requested_names}
+        counts: dict[str, list[int]] = {p.name: [] for p in element.properties if p.name in requested_names and p.count}
         steps = [_step(self._order, p.kind, p.count) for p in element.properties]
-        names = [p.name if p.name in wanted else "" for p in element.properties]
+        names = [p.name if p.name in requested_names else "" for p in element.properties]
         try:
             for row in range(element.count):
                 for (size, read, head), key in zip(steps, names, strict=True):
@@ -283,15 +287,15 @@ class _Binary:
         except (struct.error, OverflowError, ValueError):
             raise HeaderError(f"{_SHORT}: it ends among its {name}s") from None
         self._at = at
-        found = {}
+        columns = {}
         for p in element.properties:
-            if p.name in wanted:
+            if p.name in requested_names:
                 many = np.array(counts[p.name], np.int64) if p.count else np.ones(element.count, np.int64)
                 values = self._gathered(np.array(starts[p.name], np.int64), many, p.kind)
-                found[p.name] = Column(values.astype(np.int64), many) if p.count else Column(values)
-        return found
+                columns[p.name] = Column(values.astype(np.int64), many) if p.count else Column(values)
+        return columns
 
-    def _gathered(self, start: Whole, count: Whole, kind: str) -> NDArray[Any]:
+    def _gathered(self, start: Integers, count: Integers, kind: str) -> NDArray[Any]:
         size, total = np.dtype(kind).itemsize, int(count.sum())
         if total * size > limits.MESH_BYTES:
             raise HeaderError(_SHORT)

@@ -25,17 +25,17 @@ def _refuse(word: str) -> Any:
 def read_points(data: bytes, least: int) -> NDArray[np.float64]:
     """At least `least` points as an array (n, 3) in the file's own units; PointsError says why not."""
     try:
-        found = json.loads(data.decode("utf-8-sig"), parse_constant=_refuse)
+        points = json.loads(data.decode("utf-8-sig"), parse_constant=_refuse)
     except (ValueError, RecursionError):
         raise PointsError("is not JSON") from None
-    if not isinstance(found, list) or len(found) < least:
+    if not isinstance(points, list) or len(points) < least:
         raise PointsError(f"is not a list of at least {least} points `[x, y, z]`")
-    if len(found) > limits.AGENTS:
+    if len(points) > limits.AGENTS:
         raise PointsError(f"has more than {limits.AGENTS:,} points")
-    for number, point in enumerate(found):
+    for number, point in enumerate(points):
         if not isinstance(point, list) or len(point) != 3 or not all(_is_number(part) for part in point):
             raise PointsError(f"has no point `[x, y, z]` at number {number}")
-    return np.array(found, np.float64).reshape(-1, 3)
+    return np.array(points, np.float64).reshape(-1, 3)
 
 
 def _is_number(part: Any) -> bool:

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
-Whole = NDArray[np.int64]
+Integers = NDArray[np.int64]
 Corner = tuple[int, int]
 
 CORNERS = 20_000  # of one polygon that no fan covers: cutting it takes about a second
@@ -36,14 +36,14 @@ class Triangulation:
     triangle, in order. `cut`: the number of polygons with more than three corners; `concave`: how many of those have a corner
     that points inward. `crossing`: indices of polygons that cut or cover themselves."""
 
-    corners: Whole
-    polygon: Whole
+    corners: Integers
+    polygon: Integers
     cut: int = 0
     concave: int = 0
     crossing: tuple[int, ...] = ()
 
 
-def triangulate(points: Floats, counts: Whole, indices: Whole) -> Triangulation:
+def triangulate(points: Floats, counts: Integers, indices: Integers) -> Triangulation:
     """Cut polygons into triangles that keep their winding.
 
     `points` float64[n, 3]. `counts` int64[p]: corners of each polygon; fewer than three give no triangles. `indices`
@@ -55,27 +55,27 @@ def triangulate(points: Floats, counts: Whole, indices: Whole) -> Triangulation:
     while (again := _repeated(points[indices[own]], counts)).any():
         counts = counts - np.bincount(np.repeat(np.arange(len(counts)), counts)[again], minlength=len(counts))
         own = own[~again]
-    found = _cut(points, counts, indices[own])
-    return replace(found, corners=own[found.corners])
+    triangulation = _cut(points, counts, indices[own])
+    return replace(triangulation, corners=own[triangulation.corners])
 
 
-def _repeated(places: Floats, counts: Whole) -> NDArray[np.bool_]:
+def _repeated(points: Floats, counts: Integers) -> NDArray[np.bool_]:
     """Return which corners of polygons with at least four corners coincide with the previous one, or, for the last, with the
     first."""
     large = counts > 3
     start = np.cumsum(counts) - counts
     begin, end = start[large], start[large] + counts[large] - 1
-    again = np.zeros(len(places), np.bool_)
-    again[1:] = (places[1:] == places[:-1]).all(axis=1) & np.repeat(large, counts)[1:]
+    again = np.zeros(len(points), np.bool_)
+    again[1:] = (points[1:] == points[:-1]).all(axis=1) & np.repeat(large, counts)[1:]
     again[begin] = False
-    again[end] |= (places[end] == places[begin]).all(axis=1)
+    again[end] |= (points[end] == points[begin]).all(axis=1)
     left = counts - np.bincount(np.repeat(np.arange(len(counts)), counts)[again], minlength=len(counts))
     return again & np.repeat(left > 2, counts)
 
 
-def _cut(points: Floats, counts: Whole, indices: Whole) -> Triangulation:
+def _cut(points: Floats, counts: Integers, indices: Integers) -> Triangulation:
     start = np.cumsum(counts) - counts
-    parts: list[tuple[Whole, Whole]] = []
+    parts: list[tuple[Integers, Integers]] = []
     concave, crossing, hard = 0, [], []
     for count in np.unique(counts[counts > 2]).tolist():
         these = np.flatnonzero(counts == count)
@@ -93,17 +93,17 @@ def _cut(points: Floats, counts: Whole, indices: Whole) -> Triangulation:
     _check_work(counts[hard])
     for number in sorted(hard):
         at = np.arange(start[number], start[number] + counts[number])
-        found, crossed_itself = _ears(_flat(points[indices[at]][None])[0][0])
-        parts.append((np.full(1, number), at[found][None]))
+        triangles, crossed_itself = _ears(_flat(points[indices[at]][None])[0][0])
+        parts.append((np.full(1, number), at[triangles][None]))
         if crossed_itself:
             crossing.append(number)
-    polygon = np.concatenate([np.repeat(these, found.shape[1]) for these, found in parts] or [np.empty(0, np.int64)])
-    corners = np.concatenate([found.reshape(-1, 3) for _, found in parts] or [np.empty((0, 3), np.int64)])
+    polygon = np.concatenate([np.repeat(these, triangles.shape[1]) for these, triangles in parts] or [np.empty(0, np.int64)])
+    corners = np.concatenate([triangles.reshape(-1, 3) for _, triangles in parts] or [np.empty((0, 3), np.int64)])
     order = np.argsort(polygon, kind="stable")
     return Triangulation(corners[order], polygon[order], int((counts > 3).sum()), concave, tuple(sorted(crossing)))
 
 
-def _check_work(counts: Whole) -> None:
+def _check_work(counts: Integers) -> None:
     if len(counts) and counts.max() > CORNERS:
         raise TooManyCorners(f"has a polygon of {counts.max():,} corners, more than {CORNERS:,}")
     if (counts.astype(np.float64) ** 2 + _EACH).sum() > WORK:
@@ -129,15 +129,15 @@ def _flat(rings: Floats) -> tuple[Floats, NDArray[np.bool_]]:
     size = normal[rows, axis]
     one, two = (axis + 1) % 3, (axis + 2) % 3
     one, two = np.where(size < 0, two, one), np.where(size < 0, one, two)
-    seen = np.stack([unit[rows, :, one], unit[rows, :, two]], axis=2)
-    return seen, np.abs(size) > _FLAT
+    outline = np.stack([unit[rows, :, one], unit[rows, :, two]], axis=2)
+    return outline, np.abs(size) > _FLAT
 
 
-def _fans(rings: Floats) -> tuple[Whole, Whole, NDArray[np.bool_]]:
+def _fans(rings: Floats) -> tuple[Integers, Integers, NDArray[np.bool_]]:
     """Return for polygons [p, n, 3] the triangles [p, n - 2, 3] of a fan, and whether they cross themselves. Also return the
     corner at the centre of the fan, -1 if no fan that was tried covers the polygon."""
     count = rings.shape[1]
-    seen, has_area = _flat(rings)
+    outline, has_area = _flat(rings)
     crossed = ~has_area & _crosses(rings)
     middle = np.where(has_area, -1, 0)  # without an area: a fan of nothing
     step = np.arange(1, count - 1)
@@ -145,7 +145,7 @@ def _fans(rings: Floats) -> tuple[Whole, Whole, NDArray[np.bool_]]:
         open_ = np.flatnonzero(middle < 0)
         if not len(open_):
             break
-        side = np.roll(seen[open_], -k, axis=1)
+        side = np.roll(outline[open_], -k, axis=1)
         side = side[:, 1:] - side[:, :1]
         area = side[:, :-1, 0] * side[:, 1:, 1] - side[:, :-1, 1] * side[:, 1:, 0]
         # once past half a turn about the middle, the fan must not come back to its first side
@@ -163,10 +163,10 @@ def _fans(rings: Floats) -> tuple[Whole, Whole, NDArray[np.bool_]]:
 
 def _has_reflex(rings: Floats) -> NDArray[np.bool_]:
     """Whether polygons [p, n, 3] have a corner that points inward."""
-    seen, has_area = _flat(rings)
-    side = np.roll(seen, -1, axis=1) - seen
-    before = np.roll(side, 1, axis=1)
-    turn = before[..., 0] * side[..., 1] - before[..., 1] * side[..., 0]
+    outline, has_area = _flat(rings)
+    side = np.roll(outline, -1, axis=1) - outline
+    previous_side = np.roll(side, 1, axis=1)
+    turn = previous_side[..., 0] * side[..., 1] - previous_side[..., 1] * side[..., 0]
     return np.asarray(has_area & (turn < -_FLAT).any(axis=1))
 
 
@@ -178,25 +178,27 @@ def _crosses(rings: Floats) -> NDArray[np.bool_]:
     return np.asarray(across > 1e-6 * extent * extent)
 
 
-def _ears(seen: Floats) -> tuple[Whole, bool]:
+def _ears(outline: Floats) -> tuple[Integers, bool]:
     """Return triangles (m, 3) of the corners of one polygon [n, 2], counter-clockwise, and whether it crosses itself."""
     from mapbox_earcut import triangulate_float64
 
-    grid = np.round(seen * _GRID)
-    found = triangulate_float64(grid, np.array([len(grid)], np.uint32)).astype(np.int64).reshape(-1, 3)
-    twice = _twice_areas(grid, found)
-    found[twice < 0] = found[twice < 0][:, [0, 2, 1]]
+    grid = np.round(outline * _GRID)
+    triangles = triangulate_float64(grid, np.array([len(grid)], np.uint32)).astype(np.int64).reshape(-1, 3)
+    twice = _twice_areas(grid, triangles)
+    triangles[twice < 0] = triangles[twice < 0][:, [0, 2, 1]]
     x, y = grid.T
-    whole = float((x * np.roll(y, -1) - y * np.roll(x, -1)).sum())
+    double_area = float((x * np.roll(y, -1) - y * np.roll(x, -1)).sum())
     covered = float(np.abs(twice).sum())
     corners = [(int(a), int(b)) for a, b in grid]
-    return np.array(_split(found.tolist(), corners), np.int64).reshape(-1, 3), abs(covered - whole) > _OVERLAP * whole
+    return np.array(_split(triangles.tolist(), corners), np.int64).reshape(-1, 3), abs(
+        covered - double_area
+    ) > _OVERLAP * double_area
 
 
-def _twice_areas(grid: Floats, triangles: Whole) -> Floats:
+def _twice_areas(grid: Floats, triangles: Integers) -> Floats:
     a, b, c = (grid[triangles[:, k]] for k in range(3))
-    found: Floats = (b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0]
-    return found
+    areas: Floats = (b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0]
+    return areas
 
 
 def _split(triangles: list[list[int]], corners: list[Corner]) -> list[list[int]]:
@@ -263,11 +265,13 @@ def strip_triangles(corners: NDArray[T], restart: int = -1) -> NDArray[T]:
         return np.empty((0, 3), corners.dtype)
     place = np.arange(len(corners))
     since = place - np.maximum.accumulate(np.where(corners == restart, place + 1, 0))
-    found = np.stack([corners[:-2], corners[1:-1], corners[2:]], axis=1)
+    triangles = np.stack([corners[:-2], corners[1:-1], corners[2:]], axis=1)
     odd = since[2:] % 2 == 1
-    found[odd] = found[odd][:, [1, 0, 2]]
-    apart = (found[:, 0] != found[:, 1]) & (found[:, 1] != found[:, 2]) & (found[:, 0] != found[:, 2])
-    return np.asarray(found[apart & (since[2:] >= 2)])
+    triangles[odd] = triangles[odd][:, [1, 0, 2]]
+    is_distinct = (
+        (triangles[:, 0] != triangles[:, 1]) & (triangles[:, 1] != triangles[:, 2]) & (triangles[:, 0] != triangles[:, 2])
+    )
+    return np.asarray(triangles[is_distinct & (since[2:] >= 2)])
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -11,7 +11,7 @@ from antdsl import limits
 from antdsl.scene.geometry.arrays import to_float64
 from antdsl.scene.geometry.import_notes import ImportNotes
 from antdsl.scene.geometry.matrices import different
-from antdsl.scene.geometry.mesh_text import Floats, MeshError, Whole, blocks, check_count, check_text, plain_text, shown
+from antdsl.scene.geometry.mesh_text import Floats, Integers, MeshError, blocks, check_count, check_text, display_word, plain_text
 from antdsl.scene.geometry.polygons import PolygonMesh
 
 _HEAD, _FACE = 84, 50  # bytes before the first face, and of each
@@ -48,8 +48,8 @@ def _binary(data: bytes, notes: ImportNotes) -> Floats:
     count = int(struct.unpack_from("<I", data, 80)[0])
     rest = len(data) - _HEAD - _FACE * count
     if rest < 0:
-        room = (len(data) - _HEAD) // _FACE
-        raise MeshError(f"{_MISSING}: it says it has {count:,} faces, and {room:,} fit in its {len(data):,} bytes")
+        capacity = (len(data) - _HEAD) // _FACE
+        raise MeshError(f"{_MISSING}: it says it has {count:,} faces, and {capacity:,} fit in its {len(data):,} bytes")
     check_count(count, limits.MESH_FACES, "faces")
     tail = data[len(data) - rest :]
     is_padding = not tail.strip(b"\0 \n\r\t\x1a")
@@ -83,7 +83,7 @@ def _text(data: bytes, notes: ImportNotes) -> Floats:
         corners.append(block.floats(block.first[vertex][:, None] + np.arange(1, 4), "a corner"))
         if (kind == _OTHER).any():
             _check_others(
-                block.number, kind, [shown(b" ".join(block.line(int(k)))) for k in np.flatnonzero(kind == _OTHER)], notes
+                block.number, kind, [display_word(b" ".join(block.line(int(k)))) for k in np.flatnonzero(kind == _OTHER)], notes
             )
         used = (kind != _LOOP) & (kind != _SOLID) & (kind != _OTHER)
         kinds.append(kind[used])
@@ -94,7 +94,7 @@ def _text(data: bytes, notes: ImportNotes) -> Floats:
     return np.concatenate(corners)
 
 
-def _check_others(number: Whole, kind: Whole, words: list[str], notes: ImportNotes) -> None:
+def _check_others(number: Integers, kind: Integers, words: list[str], notes: ImportNotes) -> None:
     """Raise MeshError for an unknown line within a facet; note other unknown lines."""
     others = np.flatnonzero(kind == _OTHER)
     opened = np.cumsum((kind == _FACET).astype(np.int64) - (kind == _END))
@@ -104,16 +104,16 @@ def _check_others(number: Whole, kind: Whole, words: list[str], notes: ImportNot
         notes.skip(f"a line that is not understood: `{text}`", 1, int(number[place]))
 
 
-def _check_facets(kinds: Whole, numbers: Whole, last: int) -> None:
+def _check_facets(kinds: Integers, numbers: Integers, last: int) -> None:
     """Raise MeshError if lines do not repeat facet, three corners, end of facet."""
-    wanted = np.resize(np.array([_FACET, _VERTEX, _VERTEX, _VERTEX, _END]), len(kinds))
-    wrong = np.flatnonzero(kinds != wanted)
+    expected_kinds = np.resize(np.array([_FACET, _VERTEX, _VERTEX, _VERTEX, _END]), len(kinds))
+    wrong = np.flatnonzero(kinds != expected_kinds)
     if not len(wrong):
         if len(kinds) % 5:
             raise MeshError(f"ends in line {last:,} with a facet without three corners: a part of it is missing")
         return
     k = int(wrong[0])
-    if wanted[k] == _FACET and kinds[k] == _VERTEX:
+    if expected_kinds[k] == _FACET and kinds[k] == _VERTEX:
         raise MeshError(f"has a corner outside of a facet in line {numbers[k]:,}")
     k += int((kinds[k:] != _VERTEX).argmax())
     raise MeshError(f"has a facet without three corners before line {numbers[k]:,}")

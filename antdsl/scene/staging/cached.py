@@ -26,14 +26,14 @@ def once_a_mesh(work: Callable[Concatenate[M, P], T]) -> Callable[Concatenate[M,
     Results must not be changed either."""
 
     @lru_cache(maxsize=_MESHES)
-    def kept(mesh: M) -> dict[Hashable, T]:
+    def get_answers(mesh: M) -> dict[Hashable, T]:
         return {}
 
     @wraps(work)
     def ask(mesh: M, /, *words: P.args, **named: P.kwargs) -> T:
         if mesh.vertices.flags.writeable:
             return work(mesh, *words, **named)
-        known, key = kept(mesh), (words, tuple(sorted(named.items())))  # type: ignore[arg-type]
+        known, key = get_answers(mesh), (words, tuple(sorted(named.items())))  # type: ignore[arg-type]
         if key not in known:
             if len(known) >= _ANSWERS:
                 known.clear()

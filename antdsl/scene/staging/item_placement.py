@@ -33,7 +33,7 @@ def items_of(staging: Staging, name: str, surfaces: Mapping[str, stage_of.MeshDa
         return None
     model = staging.scene.model
     dt = float(1 / model.fps)
-    made, tracks = [], []
+    items, tracks = [], []
     for item, placing in value.items():
         track = _laid(staging, name, item, placing, surfaces)
         if track is None:
@@ -41,12 +41,12 @@ def items_of(staging: Staging, name: str, surfaces: Mapping[str, stage_of.MeshDa
         radius = None if placing.radius is None else placing.radius.length(model.unit_mm)
         attributes = {key: quantity.base(model.unit_mm, dt) for key, quantity in (placing.model_extra or {}).items()}
         position = three(track[0])
-        made.append(stage_of.ItemData(item, position, DEFAULT_ITEM_RADIUS if radius is None else radius, attributes))
+        items.append(stage_of.ItemData(item, position, DEFAULT_ITEM_RADIUS if radius is None else radius, attributes))
         tracks.append(track)
     frames = max((len(track) for track in tracks), default=1)
     if not tracks:
-        return tuple(made), np.zeros((1, 0, 3))
-    return tuple(made), np.stack([np.broadcast_to(track, (frames, 3)) for track in tracks], axis=1)
+        return tuple(items), np.zeros((1, 0, 3))
+    return tuple(items), np.stack([np.broadcast_to(track, (frames, 3)) for track in tracks], axis=1)
 
 
 def _laid(
@@ -63,8 +63,8 @@ def _laid(
     moves, tall = staging.moves.get(thing.on), 1 if staging.scene.model.up == "y" else 2
     track = track.copy()
     for k, place in enumerate(track):
-        here = mesh if moves is None or k == 0 else stage_of.MeshData(moves.vertices(mesh.vertices, k), mesh.faces)
-        height = height_over(here, three(place), staging.scene.model.up)
+        frame_mesh = mesh if moves is None or k == 0 else stage_of.MeshData(moves.vertices(mesh.vertices, k), mesh.faces)
+        height = height_over(frame_mesh, three(place), staging.scene.model.up)
         if height is None:
             words = f"`{item}` is neither over nor under `{thing.on}`"
             if k:
@@ -127,27 +127,27 @@ def _within(mesh: stage_of.MeshData, middle: stage_of.Point, radius: float, axes
 def _usd_items(staging: Staging, name: str, value: UsdThing, thing: WorldThing) -> Laid | None:
     """Return points or empties of a USD file as items. Radius and attributes come from the file, else from `each`, else from the
     defaults."""
-    found = usd_items(staging, name, value)
-    if found is None:
+    points = usd_items(staging, name, value)
+    if points is None:
         return None
     model = staging.scene.model
     dt = float(1 / model.fps)
     each = {key: quantity.base(model.unit_mm, dt) for key, quantity in (value.each.model_extra or {}).items()}
     radius = None if value.each.radius is None else value.each.radius.length(model.unit_mm)
     own = {a.name: a.type.dim for a in thing.attributes if a.type.kind is Kind.NUMBER}
-    file = UsdFile(staging, value.usd, staging.scene.span("world", name, "usd"), found)
+    file = UsdFile(staging, value.usd, staging.scene.span("world", name, "usd"), points)
     columns = {key: in_base_units(file, key, dim) for key, dim in own.items()}
     wide = in_base_units(file, "radius", Dim(length=1)) * abs(value.scale)
-    for key, column in zip(_turned_keys(value), _turned(model.up, value, found.ahead), strict=True):
+    for key, column in zip(_turned_keys(value), _turned(model.up, value, points.ahead), strict=True):
         columns[key] = np.where(np.isfinite(columns[key]), columns[key], column)
     tell_near_misses(file, name, [*own, "radius"])
-    made = []
-    for number, item in enumerate(found.names):
-        given = {key: float(column[number]) for key, column in columns.items() if np.isfinite(column[number])}
-        sizes = (found.radius[number], wide[number], DEFAULT_ITEM_RADIUS if radius is None else radius)
+    items = []
+    for number, item in enumerate(points.names):
+        attributes = {key: float(column[number]) for key, column in columns.items() if np.isfinite(column[number])}
+        sizes = (points.radius[number], wide[number], DEFAULT_ITEM_RADIUS if radius is None else radius)
         size = next(float(size) for size in sizes if np.isfinite(size) and size > 0)
-        made.append(stage_of.ItemData(item, three(found.places[0, number]), size, {**each, **given}))
-    return tuple(made), found.places
+        items.append(stage_of.ItemData(item, three(points.positions[0, number]), size, {**each, **attributes}))
+    return tuple(items), points.positions
 
 
 def _turned_keys(value: UsdThing) -> tuple[str, ...]:
@@ -193,10 +193,12 @@ def height_over(mesh: stage_of.MeshData, point: stage_of.Point, up: str) -> floa
     plan = corners[:, :, flat] - np.array(point)[flat]
     # twice the areas of the three triangles that the point makes with the edges, seen from above
     across = [plan[:, i, 0] * plan[:, (i + 1) % 3, 1] - plan[:, i, 1] * plan[:, (i + 1) % 3, 0] for i in range(3)]
-    whole = across[0] + across[1] + across[2]
-    inside = (np.abs(whole) > 1e-12) & np.all([part * np.sign(whole) >= -1e-12 * np.abs(whole) for part in across], axis=0)
+    double_area = across[0] + across[1] + across[2]
+    inside = (np.abs(double_area) > 1e-12) & np.all(
+        [part * np.sign(double_area) >= -1e-12 * np.abs(double_area) for part in across], axis=0
+    )
     if not inside.any():
         return None
     heights = corners[inside, :, tall]
-    weights = np.stack([across[1][inside], across[2][inside], across[0][inside]], axis=1) / whole[inside, None]
+    weights = np.stack([across[1][inside], across[2][inside], across[0][inside]], axis=1) / double_area[inside, None]
     return float((heights * weights).sum(axis=1).max())

@@ -37,21 +37,21 @@ _MANY = 20  # one of so many faces removed by welding is worth a warning
 _DEFAULT_WELD = 0.01  # of a voxel: what is finer is lost in voxels anyway
 
 
-def report_losses(staging: Staging, shown: str, raw: RawMesh, span: Span | None) -> None:
+def report_losses(staging: Staging, display_name: str, raw: RawMesh, span: Span | None) -> None:
     """Warn about what was in a mesh file and is not in the scene."""
     report, notes = staging.report, raw.notes
     if raw.dropped:
         faces = "face" if raw.dropped == 1 else "faces"
-        words = f"{raw.dropped:,} {faces} of `{shown}` without area or given twice left out"
+        words = f"{raw.dropped:,} {faces} of `{display_name}` without area or given twice left out"
         report.warning("degenerate-faces", words, span, "merge doubled points and faces in the program that made the mesh")
     if notes.crossing:
         faces = "face crosses itself" if notes.crossing == 1 else "faces cross themselves"
-        words = f"{notes.crossing:,} {faces} in `{shown}`, the first is face {notes.crossing_face:,}"
+        words = f"{notes.crossing:,} {faces} in `{display_name}`, the first is face {notes.crossing_face:,}"
         report.warning("crossing-face", words, span, "cut it into triangles in the program that made the mesh")
     skipped = notes.skipped_words()
     if skipped:
-        more = f" and {len(skipped) - 8} more" if len(skipped) > 8 else ""
-        words = f"`{shown}` has content that is not read: {', '.join(skipped[:8])}{more}"
+        remainder = f" and {len(skipped) - 8} more" if len(skipped) > 8 else ""
+        words = f"`{display_name}` has content that is not read: {', '.join(skipped[:8])}{remainder}"
         report.warning("unread-content", words, span, "export as triangles or polygons what agents should meet")
 
 
@@ -81,24 +81,24 @@ def weld_thing(
     written = f"`weld: {span.text if span is not None else f'{tolerance:g} mm'}`"
     lengths = edge_lengths(mesh.vertices, mesh.faces)
     shortest = float(lengths[lengths > 0].min())
-    words, made = f"{written} moves corners of every face of `{name}` to one place", None
+    words, welding = f"{written} moves corners of every face of `{name}` to one place", None
     if (lengths > tolerance).any():
         try:
-            made = _weld(mesh, tolerance)
+            welding = _weld(mesh, tolerance)
         except WeldError as why:
             words = f"{written} {why} of `{name}`"
-    if made is not None and staging.program.world[name].kind == "solid" and is_flat(made.mesh.vertices, made.mesh.faces):
-        words, made = f"{written} leaves the solid `{name}` without a volume", None
-    if made is None:
+    if welding is not None and staging.program.world[name].kind == "solid" and is_flat(welding.mesh.vertices, welding.mesh.faces):
+        words, welding = f"{written} leaves the solid `{name}` without a volume", None
+    if welding is None:
         help = f"write less than {shortest:.3g} mm, its shortest edge"
         staging.report.error("wrong-value", words, span, help)
         return mesh
-    gone, median = int((~made.keep).sum()), float(np.median(lengths))
-    if gone * _MANY > len(mesh.faces) or tolerance > median / 2:
-        words = f"{written} removes {gone:,} of {len(mesh.faces):,} triangles of `{name}`"
-        words = words if gone else f"{written} is more than half of the median edge of `{name}`, {median:.3g} mm"
+    removed_count, median = int((~welding.keep).sum()), float(np.median(lengths))
+    if removed_count * _MANY > len(mesh.faces) or tolerance > median / 2:
+        words = f"{written} removes {removed_count:,} of {len(mesh.faces):,} triangles of `{name}`"
+        words = words if removed_count else f"{written} is more than half of the median edge of `{name}`, {median:.3g} mm"
         staging.report.warning("degenerate-faces", words, span, f"write `weld: {one_digit_down(median / 4):g} mm` or less")
-    return _take(staging, name, made)
+    return _take(staging, name, welding)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -117,26 +117,26 @@ def _weld(mesh: stage_of.MeshData, tolerance: float) -> _Welded | None:
     if not count:
         return _Welded(mesh, 0, np.ones(len(mesh.faces), np.bool_))
     keep = has_three_places(vertices, mesh.faces)
-    made = stage_of.MeshData(vertices, mesh.faces[keep])
-    return _Welded(made, count, keep) if has_area(*(vertices[made.faces[:, k]] for k in range(3))).any() else None
+    welded_mesh = stage_of.MeshData(vertices, mesh.faces[keep])
+    return _Welded(welded_mesh, count, keep) if has_area(*(vertices[welded_mesh.faces[:, k]] for k in range(3))).any() else None
 
 
-def _take(staging: Staging, name: str, made: _Welded) -> stage_of.MeshData:
+def _take(staging: Staging, name: str, welding: _Welded) -> stage_of.MeshData:
     """Record what welding changed. Values painted on faces stay with the remaining faces."""
     raw = staging.raw[name]
-    if made.moved:
-        staging.welds[name] = staging.welds.get(name, 0) + made.moved
-    if not made.keep.all():
-        dropped = raw.dropped + int((~made.keep).sum())
-        staging.raw[name] = replace(raw, faces=raw.faces[made.keep], own_faces=raw.own_faces[made.keep], dropped=dropped)
-    return made.mesh
+    if welding.moved:
+        staging.welds[name] = staging.welds.get(name, 0) + welding.moved
+    if not welding.keep.all():
+        dropped = raw.dropped + int((~welding.keep).sum())
+        staging.raw[name] = replace(raw, faces=raw.faces[welding.keep], own_faces=raw.own_faces[welding.keep], dropped=dropped)
+    return welding.mesh
 
 
 def close_solid(staging: Staging, name: str, value: MeshThing | UsdThing, solid: stage_of.SolidData) -> stage_of.SolidData:
     """Return the solid, with its vertices welded if it is not closed otherwise. Reports an error if it still has no inside."""
-    shown, place = mesh_place(staging, name)
+    display_name, place = mesh_place(staging, name)
     if is_flat(solid.mesh.vertices, solid.mesh.faces):
-        words, help = f"the solid `{name}` has no volume: `{shown}` is flat", "give it a thickness, or declare a `surface`"
+        words, help = f"the solid `{name}` has no volume: `{display_name}` is flat", "give it a thickness, or declare a `surface`"
         staging.report.error("bad-mesh", words, place, help)
         return solid
     loose = open_solid_edges(solid)
@@ -144,22 +144,22 @@ def close_solid(staging: Staging, name: str, value: MeshThing | UsdThing, solid:
         return solid
     if value.weld is None:
         try:
-            made = _weld(solid.mesh, _DEFAULT_WELD * solid.voxel)
+            welding = _weld(solid.mesh, _DEFAULT_WELD * solid.voxel)
         except WeldError:
-            made = None
-        if made is not None and not is_flat(made.mesh.vertices, made.mesh.faces):
-            closed = replace(solid, mesh=made.mesh)
+            welding = None
+        if welding is not None and not is_flat(welding.mesh.vertices, welding.mesh.faces):
+            closed = replace(solid, mesh=welding.mesh)
             if not open_solid_edges(closed):
-                _take(staging, name, made)
+                _take(staging, name, welding)
                 return closed
     edges = "1 edge borders" if loose == 1 else f"{loose:,} edges border"
     words = f"the mesh of the solid `{name}` is not closed: {edges} on nothing"
-    found = openings(solid.mesh.vertices, solid.mesh.faces, solid.voxel)
-    if found.gap:
-        help = f"its gaps are up to {found.width:.2g} mm wide: write `weld: {found.gap:g} mm`"
+    gaps = openings(solid.mesh.vertices, solid.mesh.faces, solid.voxel)
+    if gaps.gap:
+        help = f"its gaps are up to {gaps.width:.2g} mm wide: write `weld: {gaps.gap:g} mm`"
     else:
-        holes = "it has a hole" if found.holes == 1 else f"it has {found.holes:,} holes, the largest"
-        help = f"{holes} of {found.edges:,} edges, up to {found.longest:.3g} mm long: close it in the program that made the mesh"
+        holes = "it has a hole" if gaps.holes == 1 else f"it has {gaps.holes:,} holes, the largest"
+        help = f"{holes} of {gaps.edges:,} edges, up to {gaps.longest:.3g} mm long: close it in the program that made the mesh"
     staging.report.error("bad-mesh", words, place, help)
     return solid
 
@@ -170,17 +170,17 @@ def check_live(staging: Staging, surfaces: Mapping[str, stage_of.MeshData]) -> N
     if not surfaces:
         return
     used = [mesh.vertices[mesh.faces].reshape(-1, 3) for mesh in surfaces.values()]
-    low, high = (edge([edge(places, axis=0) for places in used], axis=0) for edge in (np.min, np.max))
+    low, high = (edge([edge(points, axis=0) for points in used], axis=0) for edge in (np.min, np.max))
     extent = float((high - low).max())
     for name, mesh in surfaces.items():
         if has_live_face(mesh.vertices, mesh.faces, extent):
             continue
-        shown, span = mesh_place(staging, name)
+        display_name, span = mesh_place(staging, name)
         if has_area(*(mesh.vertices[mesh.faces[:, k]] for k in range(3))).any():
-            words = f"the mesh `{shown}` is less than a millionth as wide as all surfaces together ({extent:.3g} mm)"
+            words = f"the mesh `{display_name}` is less than a millionth as wide as all surfaces together ({extent:.3g} mm)"
             help = "check its `units` and `scale`, or leave it out"
         else:
-            words = f"the mesh `{shown}` has only faces that are as thin as lines, on which no agent can stand"
+            words = f"the mesh `{display_name}` has only faces that are as thin as lines, on which no agent can stand"
             help = "make it wider in the program that made the mesh"
         staging.report.error("bad-mesh", words, span, help)
 
@@ -194,13 +194,13 @@ def mesh_place(staging: Staging, name: str) -> tuple[str, Span | None]:
 
 def mesh_imports(staging: Staging, meshes: Mapping[str, stage_of.MeshData]) -> dict[str, MeshImport]:
     """The report on each mesh, in scene units."""
-    found, unit = {}, staging.scene.model.unit_mm
+    imports, unit = {}, staging.scene.model.unit_mm
     for name, mesh in meshes.items():
         raw, value = staging.raw[name], staging.scene.model.world[name]
         notes = raw.notes
         corners = mesh.vertices[mesh.faces].reshape(-1, 3)
         low, high = (edge(corners, axis=0) / unit for edge in (np.min, np.max))
-        found[name] = MeshImport(
+        imports[name] = MeshImport(
             file=next((str(getattr(value, key)) for key in ("mesh", "height", "usd") if hasattr(value, key)), name),
             form=notes.form or ("USD" if isinstance(value, UsdThing) else "heights"),
             vertices=notes.vertices,
@@ -216,7 +216,7 @@ def mesh_imports(staging: Staging, meshes: Mapping[str, stage_of.MeshData]) -> d
             low=(float(low[0]), float(low[1]), float(low[2])),
             high=(float(high[0]), float(high[1]), float(high[2])),
         )
-    return found
+    return imports
 
 
 class WeldError(Exception):
@@ -241,8 +241,8 @@ def welded(vertices: Floats, tolerance: float) -> tuple[Floats, int]:
     number = components(pairs, len(points))[which]
     first = np.full(int(number.max()) + 1, len(vertices))
     np.minimum.at(first, number, np.arange(len(vertices)))  # the first in the file, whatever the library's numbers
-    made = vertices[first[number]]
-    return made, int((made != vertices).any(axis=1).sum())
+    welded_vertices = vertices[first[number]]
+    return welded_vertices, int((welded_vertices != vertices).any(axis=1).sum())
 
 
 def edge_lengths(vertices: Floats, faces: Faces) -> Floats:
@@ -286,11 +286,11 @@ def openings(vertices: Floats, faces: Faces, grain: float) -> Openings:
     """Measure the openings. `grain`: positions nearer than this coincide."""
     from scipy.spatial import KDTree
 
-    edges, places = odd_edges(vertices, faces, grain)
-    ends = places[edges]
+    edges, points = odd_edges(vertices, faces, grain)
+    ends = points[edges]
     lengths = np.sqrt(((ends[:, 0] - ends[:, 1]) ** 2).sum(axis=1))
     rim = np.unique(edges)
-    near = KDTree(places[rim]).query(places[rim], k=min(2, len(rim)))[0]
+    near = KDTree(points[rim]).query(points[rim], k=min(2, len(rim)))[0]
     near = near[:, -1] if near.ndim == 2 else near
     most = float(np.median(edge_lengths(vertices, faces))) / 4
     narrow = near[near < most]
@@ -306,7 +306,7 @@ def openings(vertices: Floats, faces: Faces, grain: float) -> Openings:
         if has_three_places(moved, faces).any() and not is_flat(moved, faces) and not len(odd_edges(moved, faces, grain)[0]):
             return Openings(gap, width, 0, 0, 0.0)
         gap *= 2
-    _, piece, count = np.unique(components(edges, len(places))[edges[:, 0]], return_inverse=True, return_counts=True)
+    _, piece, count = np.unique(components(edges, len(points))[edges[:, 0]], return_inverse=True, return_counts=True)
     largest = int(count.argmax())
     return Openings(0.0, 0.0, len(count), int(count[largest]), float(lengths[piece == largest].max()))
 

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.scene.geometry.matrices import after, applied, inverse, product, still
+from antdsl.scene.geometry.matrices import applied, compose, inverse, product, still
 
 Floats = NDArray[np.float64]
 
@@ -18,12 +18,12 @@ Floats = NDArray[np.float64]
 @dataclass(frozen=True, slots=True, eq=False)
 class MeshMoves:
     """Vertices over frames. At frame k, vertex v has the transform `tracks[group[v], k]` from its position at frame 0; the
-    vertices `bent` are then shifted by `offsets[k]` mm. `tracks` float64 (groups, frames, 3, 4); `offsets` float64 (frames, m,
-    3)."""
+    vertices `deformed` are then shifted by `offsets[k]` mm. `tracks` float64 (groups, frames, 3, 4); `offsets` float64 (frames,
+    m, 3)."""
 
     group: NDArray[np.int32]
     tracks: Floats
-    bent: NDArray[np.int64]
+    deformed: NDArray[np.int64]
     offsets: NDArray[np.float64]
 
     @property
@@ -31,17 +31,17 @@ class MeshMoves:
         return int(self.tracks.shape[1])
 
     @staticmethod
-    def rigid(ways: Floats, count: int) -> MeshMoves:
+    def rigid(transforms: Floats, count: int) -> MeshMoves:
         """Move all of `count` vertices by transforms (frames, 3, 4) from a common space; the first one has an inverse."""
-        track = after(ways, inverse(ways[0]))
-        track[(ways == ways[0]).all(axis=(1, 2))] = still()
+        track = compose(transforms, inverse(transforms[0]))
+        track[(transforms == transforms[0]).all(axis=(1, 2))] = still()
         return MeshMoves(np.zeros(count, np.int32), track[None], np.empty(0, np.int64), np.empty((0, 0, 3), np.float64))
 
     @staticmethod
-    def free(places: Floats) -> MeshMoves:
-        """Return moves in which every vertex moves independently: `places` (frames, n, 3)."""
-        frames, count = places.shape[:2]
-        offsets = (places - places[0]).astype(np.float64)
+    def free(positions: Floats) -> MeshMoves:
+        """Return moves in which every vertex moves independently: `positions` (frames, n, 3)."""
+        frames, count = positions.shape[:2]
+        offsets = (positions - positions[0]).astype(np.float64)
         return MeshMoves(np.zeros(count, np.int32), still(1, frames), np.arange(count), offsets)
 
     def vertices(self, rest: Floats, frame: int) -> Floats:
@@ -49,25 +49,25 @@ class MeshMoves:
         outside."""
         k = min(max(frame, 0), self.frames - 1)
         place = applied(self.tracks[:, k].take(self.group, axis=0), rest)
-        if len(self.bent):
-            place[self.bent] += self.offsets[k]
+        if len(self.deformed):
+            place[self.deformed] += self.offsets[k]
         return np.ascontiguousarray(place)
 
-    def placed(self, ways: Floats) -> MeshMoves:
-        """Return the same motion in the space that the transforms `ways` (frames, 3, 4) lead to."""
-        back = inverse(ways[0])
-        tracks = after(after(ways[None], self.tracks), back)
-        tracks[:, (ways == ways[0]).all(axis=(1, 2)) & (self.tracks == still()).all(axis=(0, 2, 3))] = still()
-        turn = ways[: len(self.offsets), :, :3]
+    def placed(self, transforms: Floats) -> MeshMoves:
+        """Return the same motion in the space that the transforms `transforms` (frames, 3, 4) lead to."""
+        back = inverse(transforms[0])
+        tracks = compose(compose(transforms[None], self.tracks), back)
+        tracks[:, (transforms == transforms[0]).all(axis=(1, 2)) & (self.tracks == still()).all(axis=(0, 2, 3))] = still()
+        turn = transforms[: len(self.offsets), :, :3]
         offsets = product(self.offsets, np.swapaxes(turn, 1, 2))
-        return MeshMoves(self.group, tracks, self.bent, offsets)
+        return MeshMoves(self.group, tracks, self.deformed, offsets)
 
-    def take(self, kept: NDArray[np.int64]) -> MeshMoves:
-        """Return the moves of some vertices; `kept`: their numbers, ascending."""
+    def take(self, vertex_numbers: NDArray[np.int64]) -> MeshMoves:
+        """Return the moves of some vertices; `vertex_numbers`: their numbers, ascending."""
         place = np.full(len(self.group), -1)
-        place[kept] = np.arange(len(kept))
-        left = np.flatnonzero(place[self.bent] >= 0)
-        return MeshMoves(self.group[kept], self.tracks, place[self.bent[left]], self.offsets[:, left])
+        place[vertex_numbers] = np.arange(len(vertex_numbers))
+        left = np.flatnonzero(place[self.deformed] >= 0)
+        return MeshMoves(self.group[vertex_numbers], self.tracks, place[self.deformed[left]], self.offsets[:, left])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -83,7 +83,7 @@ class Moves:
     def __bool__(self) -> bool:
         return bool(self.meshes or self.items or self.curves)
 
-    def points(self, places: Floats, frame: int) -> Floats:
+    def points(self, tracks: Floats, frame: int) -> Floats:
         """Return the positions (n, 3) of items or of a curve at a frame of the scene; the end values hold outside."""
-        found: Floats = places[min(max(frame - self.first, 0), len(places) - 1)]
-        return found
+        frame_positions: Floats = tracks[min(max(frame - self.first, 0), len(tracks) - 1)]
+        return frame_positions

@@ -28,56 +28,65 @@ def length(scene: Scene, value: Quantity | None) -> float | None:
     return None if value is None else value.length(scene.model.unit_mm)
 
 
-Places = Mapping[str, stage_of.Point]
+PointsByName = Mapping[str, stage_of.Point]
 
 
 def point(
-    staging: Staging, places: Places, around: Point | str | None, radius: Quantity | None, *path: Key, key: str = "around"
+    staging: Staging,
+    item_points: PointsByName,
+    around: Point | str | None,
+    radius: Quantity | None,
+    *path: Key,
+    key: str = "around",
 ) -> stage_of.Point | None:
     """Return the centre of something: a point, an item's position, or the origin if only a radius is given."""
     if around is None:
         return None if radius is None else (0.0, 0.0, 0.0)
     if not isinstance(around, str):
         return millimetres(around, staging.scene.model.unit_mm)
-    if around not in places and staging.report.ok:
-        near = nearest_name(around, places)
+    if around not in item_points and staging.report.ok:
+        near = nearest_name(around, item_points)
         help = f"did you mean `{near}`?" if near else None
         staging.report.error("unknown-thing", f"no item is named `{around}`", staging.scene.span(*path, key), help)
-    return places.get(around)
+    return item_points.get(around)
 
 
-def place(staging: Staging, places: Places, place: Placement, *path: Key) -> stage_of.PlaceData:
+def place(staging: Staging, item_points: PointsByName, place: Placement, *path: Key) -> stage_of.PlaceData:
     scene = staging.scene
     points, ahead, values = None, None, {}
     if isinstance(place.points, UsdPlaces):
-        found = usd_places(staging, place.points, *path)
-        if found is not None:
-            file = UsdFile(staging, place.points.usd, scene.span(*path, "points", "usd"), found)
-            points, ahead, values = found.places[0], _unit(found.ahead), _values(file, scene.model.crowd[int(path[1])].species)
+        usd_points = usd_places(staging, place.points, *path)
+        if usd_points is not None:
+            file = UsdFile(staging, place.points.usd, scene.span(*path, "points", "usd"), usd_points)
+            points, ahead, values = (
+                usd_points.positions[0],
+                _unit(usd_points.ahead),
+                _values(file, scene.model.crowd[int(path[1])].species),
+            )
     elif place.points is not None:
         points = staging.points(place.points, 1, *path, "points")
         if points is not None:
             points = points * scene.model.unit_mm
     return stage_of.PlaceData(
         on=(place.on,) if place.on is not None else (),
-        around=point(staging, places, place.around, place.radius, *path),
-        inside=point(staging, places, place.inside, None, *path, key="inside"),
+        around=point(staging, item_points, place.around, place.radius, *path),
+        inside=point(staging, item_points, place.inside, None, *path, key="inside"),
         radius=length(scene, place.radius),
         points=points,
         density=place.density,
         by_area=place.by == "area",
-        apart=_apart(scene, place.apart),
+        spacing=_read_spacing(scene, place.apart),
         seed=place.seed,
         ahead=ahead,
         values=values,
     )
 
 
-def _unit(ways: NDArray[np.float64]) -> NDArray[np.float64]:
+def _unit(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return vectors (n, 3) normalized to length 1, nan where there is no direction."""
-    size = np.sqrt((ways[:, 0] * ways[:, 0] + ways[:, 1] * ways[:, 1]) + ways[:, 2] * ways[:, 2])
-    found: NDArray[np.float64] = ways / np.where(size > 0, size, np.nan)[:, None]
-    return found
+    size = np.sqrt((vectors[:, 0] * vectors[:, 0] + vectors[:, 1] * vectors[:, 1]) + vectors[:, 2] * vectors[:, 2])
+    unit_vectors: NDArray[np.float64] = vectors / np.where(size > 0, size, np.nan)[:, None]
+    return unit_vectors
 
 
 def _values(file: UsdFile, species: str) -> dict[str, NDArray[np.float64]]:
@@ -100,8 +109,8 @@ def walk(scene: Scene, walk: Walk | None) -> stage_of.WalkData | None:
     return stage_of.WalkData((x / size, y / size, z / size), speed, walk.length.length(model.unit_mm))
 
 
-def _apart(scene: Scene, apart: Quantity | str | None) -> float:
+def _read_spacing(scene: Scene, spacing: Quantity | str | None) -> float:
     """Return the least distance (mm) between agents of a line at the start; inf: evenly distributed."""
-    if isinstance(apart, str):
+    if isinstance(spacing, str):
         return math.inf
-    return length(scene, apart) or 0.0
+    return length(scene, spacing) or 0.0

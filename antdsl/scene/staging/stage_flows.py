@@ -177,13 +177,13 @@ def _flow(
     if isinstance(thing, model.SolvedFlow):
         model_ = staging.scene.model
         every = _DEFAULT_EVERY if thing.every is None else thing.every.base(model_.unit_mm, float(1 / model_.fps))
-        room = mm(thing.room) or 0.0
+        clearance = mm(thing.room) or 0.0
         return stage_of.SolvedFlow(
-            target, thing.slope, room, dict(thing.maps), thing.crowding, every, thing.strength, mm(thing.cell), on
+            target, thing.slope, clearance, dict(thing.maps), thing.crowding, every, thing.strength, mm(thing.cell), on
         )
     assert isinstance(thing, model.SpreadFlow)
-    way, gather = goal[0], thing.gather if isinstance(thing, model.TangentFlow) else 0.0
-    return stage_of.SpreadFlow(way, target, mm(thing.radius), thing.falloff, thing.strength, mm(thing.cell), on, gather)  # type: ignore[arg-type]
+    direction, gather = goal[0], thing.gather if isinstance(thing, model.TangentFlow) else 0.0
+    return stage_of.SpreadFlow(direction, target, mm(thing.radius), thing.falloff, thing.strength, mm(thing.cell), on, gather)  # type: ignore[arg-type]
 
 
 def _target(
@@ -205,16 +205,16 @@ def _target(
         return Target(points, np.zeros(len(points)), line=len(points) > 1)
     if goal in curves:
         return Target(curves[goal], np.zeros(len(curves[goal])), line=True, of=goal)
-    of, which, found = goal, None, items.get(goal) or ()
-    if not found:
+    of, which, target_items = goal, None, items.get(goal) or ()
+    if not target_items:
         own = [(group, k) for group, each in items.items() for k, item in enumerate(each) if item.name == goal]
         if not own:
             _no_target(staging, name, key, goal, items)
             return None
         of, which = own[0]
-        found = (items[of][which],)
-    places, radii = (np.array([getattr(i, key) for i in found], np.float64) for key in ("position", "radius"))
-    return Target(places, radii, of=of, which=which)
+        target_items = (items[of][which],)
+    positions, radii = (np.array([getattr(i, key) for i in target_items], np.float64) for key in ("position", "radius"))
+    return Target(positions, radii, of=of, which=which)
 
 
 def _no_target(staging: Staging, name: str, key: str, goal: str, items: Mapping[str, tuple[stage_of.ItemData, ...]]) -> None:

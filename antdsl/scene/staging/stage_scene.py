@@ -72,9 +72,9 @@ class Staging:
         folder = posixpath.dirname(path)
 
         def read(name: str, cap: int) -> bytes:
-            whole = root + colon + (posixpath.normpath(posixpath.join(folder, name)) if name[:1] != "/" else name)
-            data = self.scene.roots.read(whole, cap)
-            self.hashes[whole] = hashlib.blake2b(data, digest_size=16).hexdigest()
+            full_path = root + colon + (posixpath.normpath(posixpath.join(folder, name)) if name[:1] != "/" else name)
+            data = self.scene.roots.read(full_path, cap)
+            self.hashes[full_path] = hashlib.blake2b(data, digest_size=16).hexdigest()
             return data
 
         return read
@@ -115,17 +115,17 @@ def stage(
         check_cells(staging, {**surfaces, **{name: solid.mesh for name, solid in solids.items()}})
         check_scale(staging, surfaces, solids)
     curves = _curves(staging)
-    laid = {name: found for name in model.world if (found := items_of(staging, name, surfaces)) is not None}
-    items = {name: found for name, (found, _) in laid.items()}
-    flows, maps = stage_flows(staging, items, {name: found[0] for name, found in curves.items()})
-    places = {item.name: item.position for group in items.values() for item in group} | {
+    laid = {name: entry for name in model.world if (entry := items_of(staging, name, surfaces)) is not None}
+    items = {name: entry for name, (entry, _) in laid.items()}
+    flows, maps = stage_flows(staging, items, {name: entry[0] for name, entry in curves.items()})
+    item_points = {item.name: item.position for group in items.values() for item in group} | {
         name: group[0].position for name, group in items.items() if group
     }
     crowds = tuple(
         stage_of.CrowdData(
             line.species,
             line.count,
-            place(staging, places, line.place, "crowd", number, "place"),
+            place(staging, item_points, line.place, "crowd", number, "place"),
             number,
             walk(scene, line.walk),
             line.body if line.body and line.body in BODY_WORDS else "",
@@ -138,16 +138,16 @@ def stage(
     camera = usd_camera(staging, model.camera) if isinstance(model.camera, UsdCamera) else None
     starts = {
         name: stage_of.FieldStart(
-            start.start, point(staging, places, start.around, start.radius, "fields", name), length(scene, start.radius)
+            start.start, point(staging, item_points, start.around, start.radius, "fields", name), length(scene, start.radius)
         )
         for name, start in model.fields.items()
     }
     if not staging.report.ok:
         return None, staging.report, staging.hashes
     dt = float(1 / model.fps)
-    given = {**model.set, **(overrides or {})}
-    params = {name: value.base(model.unit_mm, dt) for name, value in given.items() if name in program.params}
-    made = stage_of.Setting(
+    param_values = {**model.set, **(overrides or {})}
+    params = {name: value.base(model.unit_mm, dt) for name, value in param_values.items() if name in program.params}
+    setting = stage_of.Setting(
         fps=model.fps,
         substeps=model.substeps,
         by_rays=model.stick == "rays",
@@ -160,7 +160,7 @@ def stage(
         surfaces=surfaces,
         obstacles=obstacles,
         items=items,
-        curves={name: found[0] for name, found in curves.items()},
+        curves={name: entry[0] for name, entry in curves.items()},
         flows=flows,
         maps=maps,
         crowds=crowds,
@@ -170,8 +170,8 @@ def stage(
         moves=Moves(
             first=model.frames.first - model.preroll,
             meshes={name: moves for name, moves in staging.moves.items() if name in {**surfaces, **obstacles}},
-            items={name: found for name, (_, found) in laid.items() if len(found) > 1},
-            curves={name: found for name, found in curves.items() if len(found) > 1},
+            items={name: entry for name, (_, entry) in laid.items() if len(entry) > 1},
+            curves={name: entry for name, entry in curves.items() if len(entry) > 1},
         ),
         camera=camera,
         detail=_detail(scene, camera),
@@ -179,8 +179,8 @@ def stage(
         imports=mesh_imports(staging, {**surfaces, **obstacles, **{name: solid.mesh for name, solid in solids.items()}}),
         spans={name: scene.span("world", name) for name in model.world},
     )
-    report_distances(staging, made)
-    return made, staging.report, staging.hashes
+    report_distances(staging, setting)
+    return setting, staging.report, staging.hashes
 
 
 def import_reports(scene: Scene, program: Program) -> dict[str, MeshImport]:
@@ -197,22 +197,22 @@ def _detail(scene: Scene, camera: stage_of.CameraData | None) -> stage_of.Detail
         return None
     near, far = model.lod.near.length(model.unit_mm), length(scene, model.lod.far)
     if camera is not None:
-        places = camera.at
+        camera_positions = camera.at
     else:
         assert not isinstance(model.camera, UsdCamera)
-        places = np.array([millimetres(model.camera.at, model.unit_mm)])
-    return stage_of.DetailData(places, near, float("inf") if far is None else far, model.frames.first)
+        camera_positions = np.array([millimetres(model.camera.at, model.unit_mm)])
+    return stage_of.DetailData(camera_positions, near, float("inf") if far is None else far, model.frames.first)
 
 
 def _meshes(staging: Staging, kind: str) -> dict[str, stage_of.MeshData]:
-    found = {}
+    meshes = {}
     for name, thing in staging.program.world.items():
         value = staging.scene.model.world.get(name)
         if thing.kind == kind and isinstance(value, MeshThing | HeightThing | UsdThing):
             mesh = _mesh(staging, name, value)
             if mesh is not None:
-                found[name] = mesh
-    return found
+                meshes[name] = mesh
+    return meshes
 
 
 def _mesh(staging: Staging, name: str, value: MeshThing | HeightThing | UsdThing) -> stage_of.MeshData | None:
@@ -220,18 +220,18 @@ def _mesh(staging: Staging, name: str, value: MeshThing | HeightThing | UsdThing
     scene, report = staging.scene, staging.report
     up, unit_mm = scene.model.up, scene.model.unit_mm
     if isinstance(value, UsdThing):
-        key, shown, factor, own_up = "prim", value.path, value.scale, up
-        found = usd_mesh(staging, name, value)
+        key, display_name, factor, own_up = "prim", value.path, value.scale, up
+        geometry = usd_mesh(staging, name, value)
     elif isinstance(value, HeightThing):
-        key, shown, factor, own_up = "height", value.height, 1.0, "y"
-        found = _heights(staging, name, value)
+        key, display_name, factor, own_up = "height", value.height, 1.0, "y"
+        geometry = _heights(staging, name, value)
     else:
-        key, shown = "mesh", value.mesh
+        key, display_name = "mesh", value.mesh
         factor, own_up = UNIT_MM[value.units or value.own_units or scene.model.units] * value.scale, value.own_up or up
-        found = moving_mesh(staging, name, value) if scene.roots.is_sequence(value.mesh) else _still_mesh(staging, name, value)
-    if found is None:
+        geometry = moving_mesh(staging, name, value) if scene.roots.is_sequence(value.mesh) else _still_mesh(staging, name, value)
+    if geometry is None:
         return None
-    raw, inner = found
+    raw, inner = geometry
     span = scene.span("world", name, key)
     try:
         mesh = placed(
@@ -249,11 +249,11 @@ def _mesh(staging: Staging, name: str, value: MeshThing | HeightThing | UsdThing
             if moves is not None:
                 staging.moves[name] = moves
     except MeshError as why:
-        report.error("bad-mesh", f"the mesh `{shown}` {why}", span, why.help)
+        report.error("bad-mesh", f"the mesh `{display_name}` {why}", span, why.help)
         return None
     staging.raw[name] = raw
     mesh = weld_thing(staging, name, value, mesh)
-    report_losses(staging, shown, raw, span)
+    report_losses(staging, display_name, raw, span)
     return mesh
 
 
@@ -294,7 +294,7 @@ def _heights(staging: Staging, name: str, value: HeightThing) -> tuple[RawMesh, 
 
 def _solids(staging: Staging) -> dict[str, stage_of.SolidData]:
     """Return the solids. A request for too many voxels is rejected before any is created."""
-    scene, found = staging.scene, {}
+    scene, solids = staging.scene, {}
     for name, mesh in _meshes(staging, "solid").items():
         value = scene.model.world[name]
         # without a voxel: complained about when the scene was matched
@@ -305,19 +305,19 @@ def _solids(staging: Staging) -> dict[str, stage_of.SolidData]:
         refuse_if_many(
             staging, across[0] * across[1] * across[2], limits.VOXELS, f"`{name}`", "voxels", edge, "world", name, "voxel"
         )
-        found[name] = stage_of.SolidData(mesh, edge)
+        solids[name] = stage_of.SolidData(mesh, edge)
         if staging.report.ok:
-            found[name] = close_solid(staging, name, value, found[name])
-    return found
+            solids[name] = close_solid(staging, name, value, solids[name])
+    return solids
 
 
 def _curves(staging: Staging) -> dict[str, NDArray[np.float64]]:
     """Return the points (frames, k, 3) of each curve, a single frame if it is static."""
-    found = {}
+    curves = {}
     for name, value in staging.scene.model.world.items():
         thing = staging.program.world.get(name)
         if isinstance(value, CurveThing) or (isinstance(value, UsdThing) and thing is not None and thing.kind == "curve"):
-            places = curve_places(staging, name, value)
-            if places is not None:
-                found[name] = places
-    return found
+            positions = curve_places(staging, name, value)
+            if positions is not None:
+                curves[name] = positions
+    return curves

@@ -94,18 +94,20 @@ def _between(keys: Mapping[int, tuple[float, ...]], frames: Sequence[int]) -> Fl
     return np.stack([np.interp(np.array(frames, np.float64), times, values[:, axis]) for axis in range(3)], axis=1)
 
 
-def _ways(staging: Staging, value: MeshThing | HeightThing | UsdThing | CurveThing, factor: float, own_up: str) -> Floats | None:
+def _key_transforms(
+    staging: Staging, value: MeshThing | HeightThing | UsdThing | CurveThing, factor: float, own_up: str
+) -> Floats | None:
     """Return the transforms (frames, 3, 4) of a file's positions into the scene, if the scene has keys for it."""
     model, frames = staging.scene.model, frames_of(staging)
     placed = key_places(value.keys, value.at, getattr(value, "rotate", None), frames, model.unit_mm)
     if placed is None:
         return None
     axes = turned_up(np.eye(3) * factor, own_up, model.up)
-    ways = np.empty((len(frames), 3, 4))
+    transforms = np.empty((len(frames), 3, 4))
     for k, (at, turn) in enumerate(zip(*placed, strict=True)):
-        ways[k, :, :3] = rotated(axes, (float(turn[0]), float(turn[1]), float(turn[2]))).T
-        ways[k, :, 3] = at
-    return ways
+        transforms[k, :, :3] = rotated(axes, (float(turn[0]), float(turn[1]), float(turn[2]))).T
+        transforms[k, :, 3] = at
+    return transforms
 
 
 # ---- meshes
@@ -118,10 +120,10 @@ def moving_mesh(staging: Staging, name: str, value: MeshThing) -> tuple[RawMesh,
         return None
     span = staging.scene.span("world", name, "mesh")
     read: dict[str, Floats] = {}
-    raw, first, places = None, None, None
+    raw, first, positions = None, None, None
     for k, file in enumerate(files):
-        if file in read and places is not None:
-            places[k] = read[file]
+        if file in read and positions is not None:
+            positions[k] = read[file]
             continue
         data = staging.read(file, limits.MESH_BYTES, "world", name, "mesh")
         if data is None:
@@ -129,20 +131,20 @@ def moving_mesh(staging: Staging, name: str, value: MeshThing) -> tuple[RawMesh,
         try:
             notes = ImportNotes()
             vertices, faces = mesh_arrays(data, file, value.group, staging.beside(file), notes)
-            if raw is None or places is None or first is None:
+            if raw is None or positions is None or first is None:
                 raw, first = sound(vertices, faces, notes), faces
                 size = len(files) * len(raw.vertices) * 48
                 if size > limits.MOVES_BYTES:
                     words = f"{len(files):,} frames of `{value.mesh}` would take {size / limits.GIB:.1f} GiB"
                     staging.report.error("too-large", words, span, "simulate fewer frames at a time, or use a lighter mesh")
                     return None
-                places = np.empty((len(files), *raw.vertices.shape))
+                positions = np.empty((len(files), *raw.vertices.shape))
             if not np.array_equal(first, faces):
                 words = f"`{file}` has other faces than `{files[0]}`"
                 staging.report.error("moving-topology", words, span, "write all frames with the same faces in the same order")
                 return None
-            places[k] = vertices[raw.own_vertices]
-            if not (np.isfinite(places[k]).all() and (np.abs(places[k]) < 1e30).all()):
+            positions[k] = vertices[raw.own_vertices]
+            if not (np.isfinite(positions[k]).all() and (np.abs(positions[k]) < 1e30).all()):
                 raise MeshError("has a vertex that is not a finite point")
         except MeshError as why:
             staging.report.error("bad-mesh", f"the mesh `{file}` {why}", span, why.help)
@@ -150,38 +152,38 @@ def moving_mesh(staging: Staging, name: str, value: MeshThing) -> tuple[RawMesh,
         except PathRefused as refused:
             staging.report.error(refused.code, f"the mesh `{file}` names a buffer: {refused}", span, refused.help)
             return None
-        read = {file: places[k]}
-    assert raw is not None and places is not None
-    return raw, None if (places == places[0]).all() else MeshMoves.free(places)
+        read = {file: positions[k]}
+    assert raw is not None and positions is not None
+    return raw, None if (positions == positions[0]).all() else MeshMoves.free(positions)
 
 
 def usd_mesh(staging: Staging, name: str, value: UsdThing) -> tuple[RawMesh, MeshMoves | None] | None:
     """The meshes below a prim, in mm and the scene's axes."""
     from antdsl.scene.geometry.usd import read_usd_mesh
 
-    found = _usd(staging, value.usd, value.path, value.purpose, ("world", name), read_usd_mesh)
-    if found is None:
+    mesh = _usd(staging, value.usd, value.path, value.purpose, ("world", name), read_usd_mesh)
+    if mesh is None:
         return None
-    if found.passed_over:
-        words = f"shapes of the types {', '.join(found.passed_over)} below `{value.path}` are not read"
+    if mesh.passed_over:
+        words = f"shapes of the types {', '.join(mesh.passed_over)} below `{value.path}` are not read"
         staging.report.warning("usd-left-out", words, staging.scene.span("world", name, "prim"), "turn them into meshes")
-    return found.raw, found.moves
+    return mesh.raw, mesh.moves
 
 
 def placed_moves(
     staging: Staging, value: MeshThing | HeightThing | UsdThing, raw: RawMesh, inner: MeshMoves | None, factor: float, own_up: str
 ) -> tuple[Floats, MeshMoves | None] | None:
     """Return the vertices at rest and the motion of a mesh that moves in its file, by keys, or both; None if it does not move."""
-    ways = _ways(staging, value, factor, own_up)
-    if inner is None and ways is None:
+    transforms = _key_transforms(staging, value, factor, own_up)
+    if inner is None and transforms is None:
         return None
-    if ways is None:  # one key anywhere: the thing's own place at all frames
-        ways = _ways(staging, value.model_copy(update={"keys": {0: PlaceKey()}}), factor, own_up)
-    assert ways is not None and has_inverse(ways[0])
-    rest = applied(ways[0], raw.vertices)
+    if transforms is None:  # one key anywhere: the thing's own place at all frames
+        transforms = _key_transforms(staging, value.model_copy(update={"keys": {0: PlaceKey()}}), factor, own_up)
+    assert transforms is not None and has_inverse(transforms[0])
+    rest = applied(transforms[0], raw.vertices)
     if inner is not None:
-        return rest, inner.placed(ways)
-    return rest, None if (ways == ways[0]).all() else MeshMoves.rigid(ways, len(rest))
+        return rest, inner.placed(transforms)
+    return rest, None if (transforms == transforms[0]).all() else MeshMoves.rigid(transforms, len(rest))
 
 
 def first_turn(staging: Staging, value: MeshThing | HeightThing | UsdThing) -> tuple[float, float, float]:
@@ -207,13 +209,15 @@ def usd_paint(staging: Staging, name: str, thing: PaintedThing, mesh: UsdThing, 
     if not isinstance(attribute, str):
         staging.report.error("bad-paint", "a primvar has one name", span, f"write `attribute: {attribute[0]}`")
         return None
-    found = _usd(staging, mesh.usd, mesh.path, mesh.purpose, ("world", name), lambda stage: read_usd_mesh(stage, [attribute]))
-    if found is None:
+    painted_mesh = _usd(
+        staging, mesh.usd, mesh.path, mesh.purpose, ("world", name), lambda stage: read_usd_mesh(stage, [attribute])
+    )
+    if painted_mesh is None:
         return None
-    values = found.values[attribute] * thing.strength
+    values = painted_mesh.values[attribute] * thing.strength
     if values.ndim != (1 if width == 1 else 2):
-        has, wanted = ("vectors", "numbers") if width == 1 else ("numbers", "vectors")
-        staging.report.error("bad-paint", f"the primvar `{attribute}` holds {has}, and `{name}` wants {wanted}", span)
+        has, expected = ("vectors", "numbers") if width == 1 else ("numbers", "vectors")
+        staging.report.error("bad-paint", f"the primvar `{attribute}` holds {has}, and `{name}` wants {expected}", span)
         return None
     if not np.isfinite(values).all():
         staging.report.error("bad-paint", f"the primvar `{attribute}` has a value that is not finite", span)
@@ -233,7 +237,7 @@ def curve_places(staging: Staging, name: str, value: CurveThing | UsdThing) -> F
     if isinstance(value, UsdThing):
         from antdsl.scene.geometry.usd import read_usd_curve
 
-        found = _usd(staging, value.usd, value.path, value.purpose, ("world", name), read_usd_curve)
+        positions = _usd(staging, value.usd, value.path, value.purpose, ("world", name), read_usd_curve)
         factor, own_up = value.scale, model.up
     else:
         files = (
@@ -247,25 +251,27 @@ def curve_places(staging: Staging, name: str, value: CurveThing | UsdThing) -> F
         lines = [read[file] for file in files]
         if any(line is None for line in lines):
             return None
-        whole = [line for line in lines if line is not None]
-        other = next((k for k, line in enumerate(whole) if line.shape != whole[0].shape), None)
+        complete_lines = [line for line in lines if line is not None]
+        other = next((k for k, line in enumerate(complete_lines) if line.shape != complete_lines[0].shape), None)
         if other is not None:
             words = f"`{files[other]}` has another number of points than `{files[0]}`"
             span = staging.scene.span("world", name, "curve")
             staging.report.error("moving-topology", words, span, "write all frames with the same number of points")
             return None
-        found = np.stack(whole)
+        positions = np.stack(complete_lines)
         factor, own_up = UNIT_MM[value.units or model.units], value.up or model.up
-    if found is None:
+    if positions is None:
         return None
-    ways = _ways(staging, value, factor, own_up)
-    if ways is None:
+    transforms = _key_transforms(staging, value, factor, own_up)
+    if transforms is None:
         angles = value.rotate if isinstance(value, UsdThing) and value.rotate else None
         at = np.array(millimetres(value.at, model.unit_mm) if value.at else (0.0, 0.0, 0.0))
         turn = tuple(a.number for a in angles) if angles else (0.0, 0.0, 0.0)
-        return np.stack([rotated(turned_up(line * factor, own_up, model.up), turn) + at for line in found])  # type: ignore[arg-type]
-    count = max(len(found), len(ways))
-    return np.stack([applied(ways[min(k, len(ways) - 1)], found[min(k, len(found) - 1)]) for k in range(count)])
+        return np.stack([rotated(turned_up(line * factor, own_up, model.up), turn) + at for line in positions])  # type: ignore[arg-type]
+    count = max(len(positions), len(transforms))
+    return np.stack(
+        [applied(transforms[min(k, len(transforms) - 1)], positions[min(k, len(positions) - 1)]) for k in range(count)]
+    )
 
 
 # ---- items
@@ -291,18 +297,23 @@ def usd_items(staging: Staging, name: str, value: UsdThing) -> UsdPoints | None:
     from antdsl.scene.geometry.usd import read_usd_points
 
     kind = name if value.kind is None and value.prim is None else value.kind
-    found = _usd(staging, value.usd, value.path, value.purpose, ("world", name), lambda stage: read_usd_points(stage, kind))
-    if found is None:
+    points = _usd(staging, value.usd, value.path, value.purpose, ("world", name), lambda stage: read_usd_points(stage, kind))
+    if points is None:
         return None
-    ways = _ways(staging, value, value.scale, staging.scene.model.up)
-    if ways is None:
-        ways = _ways(staging, value.model_copy(update={"keys": {0: PlaceKey()}}), value.scale, staging.scene.model.up)
-        assert ways is not None
-        ways = ways[:1]
-    count = max(len(found.places), len(ways))
-    moved = [applied(ways[min(k, len(ways) - 1)], found.places[min(k, len(found.places) - 1)]) for k in range(count)]
-    ahead = applied(np.concatenate([ways[0][:, :3], np.zeros((3, 1))], axis=1), found.ahead) * np.sign(value.scale)
-    return replace(found, places=np.stack(moved), radius=found.radius * abs(value.scale), ahead=ahead)
+    transforms = _key_transforms(staging, value, value.scale, staging.scene.model.up)
+    if transforms is None:
+        transforms = _key_transforms(
+            staging, value.model_copy(update={"keys": {0: PlaceKey()}}), value.scale, staging.scene.model.up
+        )
+        assert transforms is not None
+        transforms = transforms[:1]
+    count = max(len(points.positions), len(transforms))
+    moved = [
+        applied(transforms[min(k, len(transforms) - 1)], points.positions[min(k, len(points.positions) - 1)])
+        for k in range(count)
+    ]
+    ahead = applied(np.concatenate([transforms[0][:, :3], np.zeros((3, 1))], axis=1), points.ahead) * np.sign(value.scale)
+    return replace(points, positions=np.stack(moved), radius=points.radius * abs(value.scale), ahead=ahead)
 
 
 def usd_places(staging: Staging, value: UsdPlaces, *path: Key) -> UsdPoints | None:
@@ -328,11 +339,11 @@ def riding(mesh: stage_of.MeshData, moves: MeshMoves, place: stage_of.Point) -> 
         0, np.maximum.reduce([-w1, -w2, w1 + w2 - 1]) - 1e-9
     )
     face = int(off.argmin())
-    found = []
+    positions = []
     for k in range(moves.frames):
         p = moves.vertices(mesh.vertices, k)[mesh.faces[face]]
-        found.append(p[0] + w1[face] * (p[1] - p[0]) + w2[face] * (p[2] - p[0]))
-    return np.array(found)
+        positions.append(p[0] + w1[face] * (p[1] - p[0]) + w2[face] * (p[2] - p[0]))
+    return np.array(positions)
 
 
 # ---- USD
@@ -370,8 +381,10 @@ def usd_camera(staging: Staging, value: UsdCamera) -> stage_of.CameraData | None
     """A camera prim over the written frames."""
     from antdsl.scene.geometry.usd import read_usd_camera
 
-    found = _usd(staging, value.usd, value.prim, "render", ("camera",), read_usd_camera)
-    if found is None:
+    camera = _usd(staging, value.usd, value.prim, "render", ("camera",), read_usd_camera)
+    if camera is None:
         return None
-    kept = slice(staging.scene.model.preroll if len(found.at) > 1 else 0, None)
-    return stage_of.CameraData(found.at[kept], found.look_at[kept], found.up[kept], found.focal[kept])
+    written_frames = slice(staging.scene.model.preroll if len(camera.at) > 1 else 0, None)
+    return stage_of.CameraData(
+        camera.at[written_frames], camera.look_at[written_frames], camera.up[written_frames], camera.focal[written_frames]
+    )

@@ -31,20 +31,20 @@ class UsdFile:
     staging: Staging
     name: str
     span: Span | None
-    found: UsdPoints
+    points: UsdPoints
 
 
 def in_base_units(file: UsdFile, key: str, dim: Dim) -> NDArray[np.float64]:
     """Return the file's values of an attribute (n,), nan where it has none. Numbers are in the file's unit of length, degrees and
     seconds; words are numbers with a unit as in a scene."""
-    found, report = file.found, file.staging.report
-    factor = float(found.unit**dim.length * np.radians(1.0) ** dim.angle)
-    column: NDArray[np.float64] = found.values.get(key, np.full(len(found.names), np.nan)) * factor
+    points, report = file.points, file.staging.report
+    factor = float(points.unit**dim.length * np.radians(1.0) ** dim.angle)
+    column: NDArray[np.float64] = points.values.get(key, np.full(len(points.names), np.nan)) * factor
     model = file.staging.scene.model
-    for number, text in enumerate(found.texts.get(key, ())):
+    for number, text in enumerate(points.texts.get(key, ())):
         if not text:
             continue
-        where = f"`{key}` of `{found.names[number]}` in `{file.name}`"
+        where = f"`{key}` of `{points.names[number]}` in `{file.name}`"
         try:
             quantity = parse_quantity(text)
         except BadQuantity as why:
@@ -57,18 +57,18 @@ def in_base_units(file: UsdFile, key: str, dim: Dim) -> NDArray[np.float64]:
             return column
         column[number] = quantity.base(model.unit_mm, float(1 / model.fps))
     if (np.abs(column) > limits.LARGEST).any():
-        most = found.names[int(np.nanargmax(np.abs(column)))]
+        most = points.names[int(np.nanargmax(np.abs(column)))]
         report.error(
             "bad-usd", f"`{key}` of `{most}` in `{file.name}` is too large to be stored", file.span, "write a smaller number"
         )
-        return np.full(len(found.names), np.nan)
+        return np.full(len(points.names), np.nan)
     return column
 
 
 def tell_near_misses(file: UsdFile, of: str, known: Collection[str]) -> None:
     """Warn about properties of the file that no attribute takes but that are spelled almost like one. Other properties belong to
     other programs."""
-    keys = sorted({*file.found.values, *file.found.texts} - {*known, "kind", "name"})
+    keys = sorted({*file.points.values, *file.points.texts} - {*known, "kind", "name"})
     near = {key: "" if key in _SAID else nearest_name(key, known) for key in keys if key in _SAID or nearest_name(key, known)}
     if near:
         words = f"of `{file.name}` no attribute of `{of}` reads {', '.join(f'`{key}`' for key in near)}"

@@ -46,14 +46,14 @@ class Goldens:
             self.results.append(result)
             self.recorders[key] = (run, Recorder(run, result, frames))
             return self.recorders[key][1]
-        kept = self._kept(scene)
-        golden = None if kept is None else _of(kept, result)
-        if kept is None or golden is None or not golden.frames:
+        golden_file = self._read_golden(scene)
+        golden = None if golden_file is None else _of(golden_file, result)
+        if golden_file is None or golden is None or not golden.frames:
             return None
         self.results.append(result)
-        return Comparer(run, result, golden, kept.made)
+        return Comparer(run, result, golden, golden_file.made)
 
-    def _kept(self, scene: Path) -> Golden | None:
+    def _read_golden(self, scene: Path) -> Golden | None:
         path = golden_path(scene)
         if path not in self.files:
             self.files[path] = None
@@ -86,5 +86,5 @@ class Goldens:
         write_golden(path, [*others, *runs])
 
 
-def _of(kept: Golden, result: GoldenResult) -> GoldenRun | None:
-    return next((run for run in kept.runs if run.set == dict(result.changes) and run.seed == result.seed), None)
+def _of(golden_file: Golden, result: GoldenResult) -> GoldenRun | None:
+    return next((run for run in golden_file.runs if run.set == dict(result.changes) and run.seed == result.seed), None)

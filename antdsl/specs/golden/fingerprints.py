@@ -16,10 +16,10 @@ from numpy.typing import NDArray
 from antdsl.program.model import Kind, Program, Type
 from antdsl.program.names.scope import type_from_words
 from antdsl.program.tables.units import unit_of
-from antdsl.program.tables.vocabulary import GIVEN
+from antdsl.program.tables.vocabulary import BUILTIN_ATTRIBUTES
 from antdsl.runtime.world import Population, World
 from antdsl.specs.aggregates import exact_total
-from antdsl.specs.value_text import shown
+from antdsl.specs.value_text import format_value
 
 _NAMED = 8  # agents named of those that differ
 SAMPLED = 64  # agents of a species that a digest tells apart
@@ -66,18 +66,18 @@ class Column:
         """Return the row of the only value that changed since the sums were `was`, and its old value; None if several changed."""
         now = self.sums()
         changed, weighted = ((b - a) % 2**64 for a, b in zip(was, now, strict=True))
-        here = np.flatnonzero((self.ids + 1).astype(np.uint64) * np.uint64(changed) == np.uint64(weighted))
-        if not changed or len(here) != 1:
+        matching_rows = np.flatnonzero((self.ids + 1).astype(np.uint64) * np.uint64(changed) == np.uint64(weighted))
+        if not changed or len(matching_rows) != 1:
             return None
-        row = int(here[0])
-        before = (int(self.bits()[row]) - changed) % 2**64
+        row = int(matching_rows[0])
+        previous_bits = (int(self.bits()[row]) - changed) % 2**64
         size = self.values.dtype.itemsize
-        if before >= 2 ** (8 * size):
+        if previous_bits >= 2 ** (8 * size):
             return None
-        return row, np.frombuffer(before.to_bytes(size, "little"), self.values.dtype.newbyteorder("<"))[0]
+        return row, np.frombuffer(previous_bits.to_bytes(size, "little"), self.values.dtype.newbyteorder("<"))[0]
 
-    def shown(self, world: World, value: Any) -> str:
-        return shown(world, value, self.type, self.unit)
+    def format_value(self, world: World, value: Any) -> str:
+        return format_value(world, value, self.type, self.unit)
 
     def summary(self, world: World) -> str:
         """Return the values if there are few of them; else how many agents are in each state, for how many a truth holds, or the
@@ -85,44 +85,44 @@ class Column:
         if self.opaque or not len(self.values):
             return ""
         if len(self.values) <= _FEW:
-            return ", ".join(self.shown(world, value) for value in self.values)
+            return ", ".join(self.format_value(world, value) for value in self.values)
         if self.type.kind is Kind.STATE:
             numbers, counts = np.unique(self.values, return_counts=True)
-            return ", ".join(f"{self.shown(world, n)} {count}" for n, count in zip(numbers, counts, strict=True))
+            return ", ".join(f"{self.format_value(world, n)} {count}" for n, count in zip(numbers, counts, strict=True))
         if self.values.dtype == np.bool_:
             return f"{np.count_nonzero(self.values)} of {len(self.values)}"
         if self.type.kind is not Kind.NUMBER or self.values.dtype.kind != "f":
             return ""
-        return f"{self.shown(world, np.float64(exact_total(self.values) / len(self.values)))} on average"
+        return f"{self.format_value(world, np.float64(exact_total(self.values) / len(self.values)))} on average"
 
 
 def columns(world: World, program: Program) -> dict[str, Column]:
     """All that a state consists of, by key."""
-    found: list[Column] = []
+    column_list: list[Column] = []
     for name in sorted(world.populations):
-        found += _of_agents(world, program, world.populations[name])
+        column_list += _of_agents(world, program, world.populations[name])
     for name, items in sorted(world.items.items()):
         ids = np.arange(len(items))
-        found += [Column(name, key, 2, ids, amounts, names=items.names) for key, amounts in sorted(items.amounts.items())]
+        column_list += [Column(name, key, 2, ids, amounts, names=items.names) for key, amounts in sorted(items.amounts.items())]
     for name, field in sorted(world.fields.items()):
         values = np.asarray(field.values, np.float64)
-        found.append(Column(name, "", 3, np.arange(len(values)), values))
+        column_list.append(Column(name, "", 3, np.arange(len(values)), values))
     for name, parts in sorted(_digests(world).items()):
-        found.append(Column(name, "", 3, np.zeros(1, np.int64), np.frombuffer(parts[:8], np.uint64), opaque=True))
+        column_list.append(Column(name, "", 3, np.zeros(1, np.int64), np.frombuffer(parts[:8], np.uint64), opaque=True))
     for name, value in sorted(world.params.items()):
-        found.append(Column(name, "", 0, np.zeros(1, np.int64), np.array([value], np.float32)))
-    return {column.key: column for column in found}
+        column_list.append(Column(name, "", 0, np.zeros(1, np.int64), np.array([value], np.float32)))
+    return {column.key: column for column in column_list}
 
 
 def _digests(world: World) -> dict[str, bytes]:
     from hashlib import sha256
 
-    found = {name: volume.digest() for name, volume in world.solids.items()}
+    digests = {name: volume.digest() for name, volume in world.solids.items()}
     for name, flow in world.flows.items():
         state = b"".join(key.encode() + array.tobytes() for key, array in sorted(flow.state().items()))
         if state:
-            found[name] = sha256(state).digest()
-    return found
+            digests[name] = sha256(state).digest()
+    return digests
 
 
 def _of_agents(world: World, program: Program, population: Population) -> list[Column]:
@@ -131,7 +131,7 @@ def _of_agents(world: World, program: Program, population: Population) -> list[C
     ids, name = population.ids[rows], population.name
     species = program.species[name]
     mine = {a.name: a.type for a in species.attributes}
-    found = [Column(name, "id", 0, ids, ids, opaque=True)]
+    agent_columns = [Column(name, "id", 0, ids, ids, opaque=True)]
     rest = np.zeros(len(ids), np.uint64)
     for key, register in sorted(population.plan.registers.items()):
         if register.role == "temp":
@@ -140,14 +140,14 @@ def _of_agents(world: World, program: Program, population: Population) -> list[C
         if column is None:
             rest = rest * _MIX + Column(name, key, 9, ids, population.now[key][rows]).bits()
         else:
-            found.append(column)
-    kept = [population.born, population.quarantined, *population.position.T]
-    kept += population.footing.columns.values()
-    kept += [flags for _, flags in sorted(population.events.items())]
-    for array in kept:
+            agent_columns.append(column)
+    stored_arrays = [population.born, population.quarantined, *population.position.T]
+    stored_arrays += population.footing.columns.values()
+    stored_arrays += [flags for _, flags in sorted(population.events.items())]
+    for array in stored_arrays:
         for part in array.T if array.ndim == 2 else (array,):
             rest = rest * _MIX + Column(name, "", 9, ids, np.ascontiguousarray(part)[rows]).bits()
-    return [*found, Column(name, "memory", 9, ids, rest, opaque=True)]
+    return [*agent_columns, Column(name, "memory", 9, ids, rest, opaque=True)]
 
 
 def _column(who: str, key: str, mine: dict[str, Type], ids: NDArray[np.int64], values: NDArray[Any]) -> Column | None:
@@ -156,8 +156,8 @@ def _column(who: str, key: str, mine: dict[str, Type], ids: NDArray[np.int64], v
         what = "state" if machine == "main" else key
         return Column(who, what, 1, ids, values, Type(Kind.STATE, of=f"{who}.{machine}"))
     base, axis = (machine, f".{word}") if word in ("x", "y", "z") else (key, "")
-    if base in mine or base in GIVEN:
-        type = mine.get(base) or type_from_words(GIVEN[base].type) or _PLAIN
+    if base in mine or base in BUILTIN_ATTRIBUTES:
+        type = mine.get(base) or type_from_words(BUILTIN_ATTRIBUTES[base].type) or _PLAIN
         rank = 4 + _MOVING.index(base) if base in _MOVING else 1
         if type.kind is Kind.VECTOR:
             type = Type(Kind.NUMBER, type.dim)
@@ -181,18 +181,18 @@ def sampled(count: int) -> NDArray[np.int64]:
 
 @dataclass(frozen=True, slots=True)
 class Difference:
-    """`whom`: the agent, item or cell, if it is a single known one, or some of the agents that differ; empty if none is known.
+    """`member`: the agent, item or cell, if it is a single known one, or some of the agents that differ; empty if none is known.
     `now` and `was`: values in the author's terms; empty if they are unknown."""
 
     who: str
     what: str
-    whom: str
+    member: str
     now: str
     was: str
 
     def __str__(self) -> str:
         name = f"`{self.who}.{self.what}`" if self.what else f"`{self.who}`"
-        name += f" of {self.whom}" if self.whom else ""
+        name += f" of {self.member}" if self.member else ""
         if self.now and self.was and self.now != self.was:
             return f"{name} is {self.now}, was {self.was}"
         return f"{name} differs"
@@ -204,25 +204,27 @@ def differences(
     """Return all attributes that differ, the most informative first. `was`: sums and words by key; `agents`: digests by
     species."""
     now = columns(world, program)
-    some = {name: _some(world, program, name, text) for name, text in agents.items() if name in world.populations}
-    found: list[tuple[int, Difference]] = []
+    differing_agents = {
+        name: _name_differing(world, program, name, text) for name, text in agents.items() if name in world.populations
+    }
+    ranked_differences: list[tuple[int, Difference]] = []
     others = {name: len(world.populations[name]) for name in world.populations if _are_others(now, was, name)}
-    found += [(0, Difference(name, "", "", f"{count} agents", "others")) for name, count in others.items()]
+    ranked_differences += [(0, Difference(name, "", "", f"{count} agents", "others")) for name, count in others.items()]
     for key, column in now.items():
         if column.who in others:
             continue
         if key not in was:
-            found.append((0, Difference(column.who, column.what, "", "there", "not there")))
+            ranked_differences.append((0, Difference(column.who, column.what, "", "there", "not there")))
             continue
         first, second, words = was[key]
         sums = (int(first, 16), int(second, 16))
         if column.sums() != sums:
-            found.append((column.rank, _difference(world, column, sums, words, some)))
+            ranked_differences.append((column.rank, _difference(world, column, sums, words, differing_agents)))
     for key in was.keys() - now.keys():
         who, _, what = key.partition(".")
-        found.append((0, Difference(who, what, "", "not there", "there")))
-    found.sort(key=lambda pair: pair[0])
-    return [difference for _, difference in found]
+        ranked_differences.append((0, Difference(who, what, "", "not there", "there")))
+    ranked_differences.sort(key=lambda pair: pair[0])
+    return [difference for _, difference in ranked_differences]
 
 
 def _are_others(now: Mapping[str, Column], was: Mapping[str, tuple[str, str, str]], species: str) -> bool:
@@ -231,15 +233,21 @@ def _are_others(now: Mapping[str, Column], was: Mapping[str, tuple[str, str, str
     return key in now and key in was and now[key].sums() != (int(was[key][0], 16), int(was[key][1], 16))
 
 
-def _difference(world: World, column: Column, sums: tuple[int, int], words: str, some: Mapping[str, str]) -> Difference:
+def _difference(
+    world: World, column: Column, sums: tuple[int, int], words: str, differing_agents: Mapping[str, str]
+) -> Difference:
     one = column.one(sums)
     if one is not None and not column.opaque:
-        row, before = one
+        row, previous_value = one
         return Difference(
-            column.who, column.what, _name(column, row), column.shown(world, column.values[row]), column.shown(world, before)
+            column.who,
+            column.what,
+            _name(column, row),
+            column.format_value(world, column.values[row]),
+            column.format_value(world, previous_value),
         )
-    whom = _name(column, one[0]) if one is not None else some.get(column.who, "")
-    return Difference(column.who, column.what, whom, column.summary(world), words)
+    member = _name(column, one[0]) if one is not None else differing_agents.get(column.who, "")
+    return Difference(column.who, column.what, member, column.summary(world), words)
 
 
 def _name(column: Column, row: int) -> str:
@@ -250,7 +258,7 @@ def _name(column: Column, row: int) -> str:
     return f"{column.who} {column.ids[row]}" if column.what else f"cell {column.ids[row]}"
 
 
-def _some(world: World, program: Program, name: str, text: str) -> str:
+def _name_differing(world: World, program: Program, name: str, text: str) -> str:
     """Return which of the agents in a digest differ; empty if the digest is not about the same agents."""
     population = world.populations[name]
     rows, now = sampled(len(population)), digest(world, population, program)
@@ -260,6 +268,6 @@ def _some(world: World, program: Program, name: str, text: str) -> str:
     differ = [int(id) for k, id in enumerate(ids) if now[4 * k : 4 * k + 4] != text[4 * k : 4 * k + 4]]
     if not differ:
         return ""
-    more = f" and {len(differ) - _NAMED} more" if len(differ) > _NAMED else ""
-    named = f"{name} {', '.join(map(str, differ[:_NAMED]))}{more}"
+    remainder = f" and {len(differ) - _NAMED} more" if len(differ) > _NAMED else ""
+    named = f"{name} {', '.join(map(str, differ[:_NAMED]))}{remainder}"
     return named if len(ids) == len(population) else f"{named} of {len(ids)} looked at"

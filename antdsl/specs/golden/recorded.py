@@ -23,7 +23,7 @@ from antdsl.program.model import Program
 from antdsl.runtime import World, state_hash
 from antdsl.specs.cases import Run
 from antdsl.specs.golden.fingerprints import Difference, columns, differences, digest
-from antdsl.whole import write_whole
+from antdsl.whole import write_atomically
 
 STATIONS = 48
 _BYTES = 64 * limits.MIB
@@ -66,18 +66,18 @@ class GoldenError(Exception):
 
 @dataclass(slots=True)
 class GoldenResult:
-    """The outcome of a golden run: same, differs, written, or waiting. `frame`: the first that differs; `seen`: the frame in
-    which `found` was determined; `made`: where the golden run was recorded, if the environment is different."""
+    """The outcome of a golden run: same, differs, written, or waiting. `frame`: the first that differs; `detail_frame`: the frame
+    in which `found` was determined; `origin`: where the golden run was recorded, if the environment is different."""
 
     scene: Path
     changes: Mapping[str, str]
     seed: int
     outcome: str = "waiting"
     frame: int | None = None
-    seen: int | None = None
+    detail_frame: int | None = None
     found: list[Difference] = field(default_factory=list)
     words: str = ""
-    made: str = ""
+    origin: str = ""
     frames: int = 0
 
     @property
@@ -99,7 +99,7 @@ def golden_path(scene: Path) -> Path:
     return scene.with_name(f"{scene.stem}.golden.json")
 
 
-def here() -> dict[str, str]:
+def describe_environment() -> dict[str, str]:
     """What a run is made with."""
     return {
         "antdsl": __version__, "python": platform.python_version(), "numpy": np.__version__,
@@ -126,16 +126,16 @@ def read_golden(path: Path) -> Golden | None:
 
 def write_golden(path: Path, runs: Iterable[GoldenRun]) -> None:
     """Write golden runs, one line per frame, so that a text comparison shows what changed."""
-    lines = [f'{{"golden": 2,\n"made": {json.dumps(here())},\n"runs": [']
+    lines = [f'{{"golden": 2,\n"made": {json.dumps(describe_environment())},\n"runs": [']
     ordered = sorted(runs, key=lambda run: (sorted(run.set.items()), run.seed))
     for number, run in enumerate(ordered):
         head = f'{{"set": {json.dumps(run.set, ensure_ascii=False)}, "seed": {run.seed},\n"summary": {{\n'
-        told = ",\n".join(f" {json.dumps(k)}: {json.dumps(v, ensure_ascii=False)}" for k, v in run.summary.items())
+        summary_lines = ",\n".join(f" {json.dumps(k)}: {json.dumps(v, ensure_ascii=False)}" for k, v in run.summary.items())
         frames = ",\n".join(
             json.dumps(frame.model_dump(exclude_defaults=True), ensure_ascii=False, separators=(",", ":")) for frame in run.frames
         )
-        lines.append(f'{head}{told}}},\n"frames": [\n{frames}\n]}}{"," if number + 1 < len(ordered) else ""}')
-    write_whole(path, ("\n".join(lines) + "\n]}\n").encode())
+        lines.append(f'{head}{summary_lines}}},\n"frames": [\n{frames}\n]}}{"," if number + 1 < len(ordered) else ""}')
+    write_atomically(path, ("\n".join(lines) + "\n]}\n").encode())
 
 
 class Recorder:
@@ -153,47 +153,51 @@ class Recorder:
     def look(self, world: World) -> None:
         frame = Frame(frame=world.frame, hash=state_hash(world))
         if len(self.frames) % self.every == 0:
-            found = _sums(world, self.program)
-            frame.parts = {key: sums for key, sums in found.items() if self.known.get(key) != sums}
-            frame.parts |= {key: ("", "", "") for key in self.known.keys() - found.keys()}
+            sums_by_key = _sums(world, self.program)
+            frame.parts = {key: sums for key, sums in sums_by_key.items() if self.known.get(key) != sums}
+            frame.parts |= {key: ("", "", "") for key in self.known.keys() - sums_by_key.keys()}
             frame.agents = _digests(world, self.program)
-            self.known = found
+            self.known = sums_by_key
         self.frames.append(frame)
 
     def end(self, world: World) -> None:
         """Put the golden run together."""
         self.result.frames = len(self.frames)
         summary = {name: f"{len(population)} agents" for name, population in sorted(world.populations.items())}
-        told = {key: column.summary(world) for key, column in columns(world, self.program).items()}
-        summary |= {key: words for key, words in told.items() if words}
+        column_summaries = {key: column.summary(world) for key, column in columns(world, self.program).items()}
+        summary |= {key: words for key, words in column_summaries.items() if words}
         self.made = GoldenRun(set=dict(self.result.changes), seed=self.result.seed, summary=summary, frames=self.frames)
 
 
 class Comparer:
     """Compares a run with a golden one; `result` has the outcome."""
 
-    def __init__(self, run: Run, result: GoldenResult, golden: GoldenRun, made: Mapping[str, str]) -> None:
+    def __init__(self, run: Run, result: GoldenResult, golden: GoldenRun, environment: Mapping[str, str]) -> None:
         self.program, self.result, self.golden = run.shot.program, result, golden
-        self.made = ", ".join(f"{name} {text}" for name, text in made.items()) if dict(made) != here() else ""
+        self.made = (
+            ", ".join(f"{name} {text}" for name, text in environment.items())
+            if dict(environment) != describe_environment()
+            else ""
+        )
         self.known: dict[str, Sums] = {}
         self.over = False
 
     def look(self, world: World) -> None:
         if self.over:
             return
-        kept = self.golden.frames[self.result.frames]
-        if kept.frame != world.frame:
-            self._differs(world.frame, f"the run begins at frame {world.frame}, it began at frame {kept.frame}")
+        golden_frame = self.golden.frames[self.result.frames]
+        if golden_frame.frame != world.frame:
+            self._differs(world.frame, f"the run begins at frame {world.frame}, it began at frame {golden_frame.frame}")
             self.over = True
             return
         self.result.frames += 1
-        if kept.parts or kept.agents:
-            self.known = {key: sums for key, sums in {**self.known, **kept.parts}.items() if any(sums)}
-        if self.result.frame is None and state_hash(world) != kept.hash:
+        if golden_frame.parts or golden_frame.agents:
+            self.known = {key: sums for key, sums in {**self.known, **golden_frame.parts}.items() if any(sums)}
+        if self.result.frame is None and state_hash(world) != golden_frame.hash:
             self._differs(world.frame, "")
-        if self.result.frame is not None and kept.agents:
-            self.result.seen = world.frame
-            self.result.found = differences(world, self.program, self.known, kept.agents)
+        if self.result.frame is not None and golden_frame.agents:
+            self.result.detail_frame = world.frame
+            self.result.found = differences(world, self.program, self.known, golden_frame.agents)
             self.over = True
         elif self.result.frames == len(self.golden.frames):
             self.over = True
@@ -206,15 +210,15 @@ class Comparer:
         """All is known."""
 
     def _differs(self, frame: int, words: str) -> None:
-        self.result.outcome, self.result.frame, self.result.words, self.result.made = "differs", frame, words, self.made
+        self.result.outcome, self.result.frame, self.result.words, self.result.origin = "differs", frame, words, self.made
 
 
 def _sums(world: World, program: Program) -> dict[str, Sums]:
-    found = {}
+    sums_by_key = {}
     for key, column in columns(world, program).items():
         first, second = column.sums()
-        found[key] = (f"{first:x}", f"{second:x}", column.summary(world))
-    return found
+        sums_by_key[key] = (f"{first:x}", f"{second:x}", column.summary(world))
+    return sums_by_key
 
 
 def _digests(world: World, program: Program) -> dict[str, str]:

@@ -112,9 +112,9 @@ class Reader:
         assert self.last is not None
         beside = "\n" not in self.scan.source.text[self.last.end : comment.span.start] and not left
         if not slot.nodes:
-            before = slots[-2] if len(slots) > 1 else None
-            if beside and before is not None and before.trail is None and not slot.lead:
-                before.trail = comment
+            previous_slot = slots[-2] if len(slots) > 1 else None
+            if beside and previous_slot is not None and previous_slot.trail is None and not slot.lead:
+                previous_slot.trail = comment
             elif token.kind == "close":
                 left.append(comment)
             else:
@@ -142,12 +142,12 @@ class Reader:
         """Whether a blank stands before a token."""
         if self.last is None:
             return False
-        before = "".join(self.scan.clean[self.last.start : self.last.end])
-        if before in ("(", "[", ".") or text in (")", "]", ",", ":", ".", "["):
+        previous_text = "".join(self.scan.clean[self.last.start : self.last.end])
+        if previous_text in ("(", "[", ".") or text in (")", "]", ",", ":", ".", "["):
             return False
         if self.last.start in self.minus:
             return False
-        return not (text == "(" and (self.last.end in self.calls or before in (")", "]")))
+        return not (text == "(" and (self.last.end in self.calls or previous_text in (")", "]")))
 
 
 def _is_comprehension(slot: Slot) -> bool:
@@ -199,24 +199,24 @@ def _settled(slot: Slot) -> Slot:
 
 def _taken(nodes: Sequence[Node]) -> list[n.Comment]:
     """Remove and return the comments inside brackets."""
-    found: list[n.Comment] = []
+    comments: list[n.Comment] = []
     for node in nodes:
         if isinstance(node, Bracket) and node.forced:
             for slot in node.slots:
-                found += [*_taken_from(slot), *_taken(slot.nodes)]
-            found += node.tail
+                comments += [*_taken_from(slot), *_taken(slot.nodes)]
+            comments += node.tail
             node.tail = []
             _measured(node)
-    return found
+    return comments
 
 
 def _taken_from(slot: Slot) -> list[n.Comment]:
     """Remove and return the comments around a slot and between its operands."""
-    found = [*slot.lead, *([slot.trail] if slot.trail else [])]
+    comments = [*slot.lead, *([slot.trail] if slot.trail else [])]
     for operand in slot.operands:
-        found += _taken_from(operand)
+        comments += _taken_from(operand)
     slot.lead, slot.trail, slot.operands = [], None, []
-    return found
+    return comments
 
 
 def _measured(bracket: Bracket) -> Bracket:

@@ -115,9 +115,9 @@ def _marked(rows: Sequence[Row]) -> list[str]:
     """Return the texts of rows of one kind with aligned cells."""
     texts = [row.cells[0] for row in rows]
     for k in range(1, max(len(row.cells) for row in rows)):
-        there = [len(row.cells) > k and row.cells[k] != "" for row in rows]
-        column = _column([text for text, has in zip(texts, there, strict=True) if has], 1)
-        texts = [_padded(t, column, r.cells[k], 1) if has else t for t, r, has in zip(texts, rows, there, strict=True)]
+        has_cell = [len(row.cells) > k and row.cells[k] != "" for row in rows]
+        column = _column([text for text, has in zip(texts, has_cell, strict=True) if has], 1)
+        texts = [_padded(t, column, r.cells[k], 1) if has else t for t, r, has in zip(texts, rows, has_cell, strict=True)]
     return texts
 
 

@@ -70,10 +70,10 @@ def items(file: n.File) -> list[Item]:
     scanned = scan(file.source, Report())
     tokens = pair(scanned)
     assert tokens is not None, "a file with too many brackets open was not parsed without an error"
-    return _Sorter(scanned, *_places(file)).items(cut(scanned, tokens), "top", 0, len(file.source.text))
+    return _Sorter(scanned, *_find_marks(file)).items(cut(scanned, tokens), "top", 0, len(file.source.text))
 
 
-def _places(file: n.File) -> tuple[frozenset[int], frozenset[int]]:
+def _find_marks(file: n.File) -> tuple[frozenset[int], frozenset[int]]:
     """Return the ends of functions with following arguments, and the positions of minus signs with nothing on their left."""
     calls: set[int] = set()
     minus: set[int] = set()
@@ -122,27 +122,31 @@ class _Sorter:
 
     def items(self, lines: Sequence[Line], rule: str, start: int, end: int) -> list[Item]:
         """Return the statements and comments between two offsets."""
-        found: list[Item] = []
+        item_list: list[Item] = []
         last = start  # where the item before ends
         for line in lines:
-            last = self.remarks(found, last, line.start)
-            found.append(self.statement(line, rule, self.blank(found, last, line.start)))
+            last = self.remarks(item_list, last, line.start)
+            item_list.append(self.statement(line, rule, self.blank(item_list, last, line.start)))
             last = line.end
-        self.remarks(found, last, end)
-        return found
+        self.remarks(item_list, last, end)
+        return item_list
 
-    def blank(self, found: list[Item], last: int, start: int) -> bool:
-        return bool(found) and self.line_ends(last, start) > 1
+    def blank(self, item_list: list[Item], last: int, start: int) -> bool:
+        return bool(item_list) and self.line_ends(last, start) > 1
 
-    def remarks(self, found: list[Item], last: int, end: int) -> int:
+    def remarks(self, item_list: list[Item], last: int, end: int) -> int:
         """Put the comments up to `end` after the last statement or on separate lines; return where the last of them ends."""
         while (comment := self.next_before(end)) is not None:
             text = comment.text.rstrip()
-            before = found[-1] if found else None
-            if isinstance(before, Statement) and before.comment is None and not self.line_ends(last, comment.span.start):
-                before.comment = text
+            previous_item = item_list[-1] if item_list else None
+            if (
+                isinstance(previous_item, Statement)
+                and previous_item.comment is None
+                and not self.line_ends(last, comment.span.start)
+            ):
+                previous_item.comment = text
             else:
-                found.append(Remark(text, self.blank(found, last, comment.span.start)))
+                item_list.append(Remark(text, self.blank(item_list, last, comment.span.start)))
             last = comment.span.end
         return last
 
@@ -173,14 +177,14 @@ class _Sorter:
             comment = self.next_before(limit)
             if comment is not None:
                 head, start = comment.text.rstrip(), comment.span.end
-        found = self.items(group.lines, inner, start, end)
-        return Block(found, self.one_line(group, found, head), head)
+        item_list = self.items(group.lines, inner, start, end)
+        return Block(item_list, self.one_line(group, item_list, head), head)
 
-    def one_line(self, group: Group, found: list[Item], head: str | None) -> bool:
+    def one_line(self, group: Group, item_list: list[Item], head: str | None) -> bool:
         """Return whether a block may be on one line: none of its statements begins a line, and nothing in it has to."""
-        if not found and head is None:
+        if not item_list and head is None:
             return True
-        for item in found:
+        for item in item_list:
             if isinstance(item, Remark) or item.comment is not None:
                 return False
             if any(must_open(part) for part in item.parts):

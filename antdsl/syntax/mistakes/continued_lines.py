@@ -37,10 +37,10 @@ def joined(scan: Scan) -> list[Token]:
             scan.blank(token.start, token.end)
             tokens[index + 1] = replace(tokens[index + 1], indent=-1)
         elif joints:
-            _told(scan, tokens, joints)
+            _report_joints(scan, tokens, joints)
             joints = []
     if joints:
-        _told(scan, tokens, joints)
+        _report_joints(scan, tokens, joints)
     return [token for index, token in enumerate(tokens) if index not in left_out] if left_out else scan.tokens
 
 
@@ -52,24 +52,24 @@ def _goes_on(scan: Scan, tokens: list[Token], index: int, indent: int) -> bool:
     """Return whether the line after a line end belongs to the line before it, which is indented by `indent`."""
     if index + 1 >= len(tokens) or index == 0 or scan.source.text[tokens[index].start] != "\n":
         return False
-    before, following = tokens[index - 1], tokens[index + 1]
-    if before.kind == "end" or _text(scan, before) in ("{", "}") or following.kind == "end":
+    previous_token, following = tokens[index - 1], tokens[index + 1]
+    if previous_token.kind == "end" or _text(scan, previous_token) in ("{", "}") or following.kind == "end":
         return False
     word = _text(scan, following)
     if word in _GOES_ON:
         behind = _text(scan, tokens[index + 2]) if index + 2 < len(tokens) else ""
         return not word.isalpha() or behind not in ("=", ":")
-    return _text(scan, before) in _UNDONE and following.indent > indent and word not in _LINE_WORDS and word not in "{}"
+    return _text(scan, previous_token) in _UNDONE and following.indent > indent and word not in _LINE_WORDS and word not in "{}"
 
 
-def _told(scan: Scan, tokens: list[Token], joints: list[int]) -> None:
+def _report_joints(scan: Scan, tokens: list[Token], joints: list[int]) -> None:
     text, following = scan.source.text, tokens[joints[0] + 1]
     word = text[following.start : following.end]
     start, end = tokens[joints[0] - 1].end, tokens[joints[-1] + 1].start
-    better, done = "", start
+    better, copied_end = "", start
     for joint in joints:
-        better += text[done : tokens[joint - 1].end] + " "
-        done = tokens[joint + 1].start
+        better += text[copied_end : tokens[joint - 1].end] + " "
+        copied_end = tokens[joint + 1].start
     comment = any(start <= each.span.start < end for each in scan.comments)
     what = f"`{word}` begins no line" if word in _GOES_ON else "nothing is finished there"
     span = Span(scan.source, following.start, following.end)

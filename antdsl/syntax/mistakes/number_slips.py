@@ -31,17 +31,17 @@ def number_with_comma(source: Source, comma: int) -> Span | None:
 def comma_in_number(span: Span, *, only: bool = True) -> Diagnostic:
     """Return the error about a number with commas. `only`: it cannot be two numbers separated by a comma."""
     text = span.text
-    whole, dotted = text.replace(",", ""), text.replace(",", ".")
-    thousands, once = _THOUSANDS.fullmatch(text), text.count(",") == 1 and "." not in text
+    plain_number, dotted = text.replace(",", ""), text.replace(",", ".")
+    thousands, is_single = _THOUSANDS.fullmatch(text), text.count(",") == 1 and "." not in text
     fix: str | None = None
     two = text.replace(",", ", ")
-    if once and not thousands:
+    if is_single and not thousands:
         help = f"write a dot: `{dotted}`" + ("" if only else f"; two values have a blank between them: `{two}`")
         fix = dotted if only else None
-    elif once:
-        help = f"write `{whole}`, or `{dotted}` with a dot" + ("" if only else f", or `{two}` for two values")
+    elif is_single:
+        help = f"write `{plain_number}`, or `{dotted}` with a dot" + ("" if only else f", or `{two}` for two values")
     elif thousands:
-        help, fix = f"write `{whole}`", whole
+        help, fix = f"write `{plain_number}`", plain_number
     else:
         help = "write it with digits and at most one dot, as in `1200` or `1.25`"
     message = f"number `{text if len(text) <= _LONGEST else text[: _LONGEST - 1] + '…'}` has a comma in it"
@@ -52,14 +52,14 @@ def number_problem(piece: str, characters: str, end: int) -> tuple[str, int, str
     """Return what is wrong with a number that ends at an offset of a text, where it really ends, and what to write."""
     glued = _GLUED.match(characters, end)
     rest = glued.group() if glued else ""
-    whole = f"{piece}{rest}"[:80]
+    complete_text = f"{piece}{rest}"[:80]
     stop = end + len(rest)
     if rest[:1] == "." and rest[1:2].isdigit():
-        return f"number `{whole}` has two dots", stop, "write one dot at most, as in `1.25`"
+        return f"number `{complete_text}` has two dots", stop, "write one dot at most, as in `1.25`"
     if rest == ".":
-        return f"number `{whole}` ends in a dot", stop, f"write `{piece}`"
+        return f"number `{complete_text}` ends in a dot", stop, f"write `{piece}`"
     if rest[:1] == "_" or (piece == "0" and rest[:1] in ("x", "X", "o", "O", "b", "B")):
-        return f"`{whole}` is not a number", stop, "write it with digits and at most one dot, as in `1200` or `1.25`"
+        return f"`{complete_text}` is not a number", stop, "write it with digits and at most one dot, as in `1200` or `1.25`"
     if len(piece) > 1 and piece[0] == "0" and piece[1].isdigit():
         return f"number `{piece[:80]}` begins with a needless 0", end, f"write `{piece.lstrip('0') or '0'}`"[:80]
     if sum(character.isdigit() for character in piece) > limits.NUMBER_DIGITS:

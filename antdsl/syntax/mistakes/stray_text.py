@@ -63,74 +63,74 @@ _CONFLICT = re.compile(r"^(<{7}|\|{7}|={7}|>{7})(?=[ \r\n]|$).*$", re.MULTILINE)
 _FENCE = re.compile(r"^[ \t]*(```|~~~).*$", re.MULTILINE)
 
 
-def look_over(found: Scan) -> None:
+def look_over(scan: Scan) -> None:
     """Report what no text may contain, anywhere."""
-    _forbidden(found)
-    _unseen(found)
-    _markers(found)
-    _long_lines(found)
+    _forbidden(scan)
+    _unseen(scan)
+    _markers(scan)
+    _long_lines(scan)
 
 
-def _forbidden(found: Scan) -> None:
-    for match in _FORBIDDEN.finditer(found.source.text):
+def _forbidden(scan: Scan) -> None:
+    for match in _FORBIDDEN.finditer(scan.source.text):
         character = match.group()
         name = f"U+{ord(character):04X}"
         if "\u202a" <= character <= "\u2069" and character not in "\u2028\u2029":
             message, help = f"hidden text direction mark {name}", "delete it: it can make text look like something else"
-            found.error("hidden-direction", message, match.start(), match.end(), help, "")
+            scan.error("hidden-direction", message, match.start(), match.end(), help, "")
         else:
-            found.error("control-character", f"control character {name}", match.start(), match.end(), "delete it", "")
-        found.blank(match.start(), match.end())
+            scan.error("control-character", f"control character {name}", match.start(), match.end(), "delete it", "")
+        scan.blank(match.start(), match.end())
 
 
-def _unseen(found: Scan) -> None:
+def _unseen(scan: Scan) -> None:
     """Report invisible characters in comments and texts. Those that join or separate letters belong to the spelling of some
     languages."""
-    text = found.source.text
+    text = scan.source.text
     for said in _SAID.finditer(text) if not text.isascii() else ():
         for match in _UNSEEN.finditer(text, said.start(), said.end()):
             name = unicodedata.name(match.group(), "character").lower()
             message = f"{name} (U+{ord(match.group()):04X}), which does not show"
-            found.error("control-character", message, match.start(), match.end(), "delete it", "")
+            scan.error("control-character", message, match.start(), match.end(), "delete it", "")
 
 
-def _markers(found: Scan) -> None:
+def _markers(scan: Scan) -> None:
     """Keep the first side of a merge conflict, so that the rest of the file can be checked."""
-    if "<<<<<<<" in found.source.text or ">>>>>>>" in found.source.text:
+    if "<<<<<<<" in scan.source.text or ">>>>>>>" in scan.source.text:
         drop_from = -1
-        for match in _CONFLICT.finditer(found.source.text):
+        for match in _CONFLICT.finditer(scan.source.text):
             sign = match.group()[0]
             if sign in "<" or (sign == ">" and drop_from < 0):
                 help = "keep one of the two versions and delete the lines with `<<<<<<<`, `=======` and `>>>>>>>`"
-                found.error("merge-conflict", "merge conflict left in the file", match.start(), match.end(), help)
+                scan.error("merge-conflict", "merge conflict left in the file", match.start(), match.end(), help)
             elif sign in "|=" and drop_from < 0:
                 drop_from = match.start()
             elif sign == ">":
-                blank_lines(found, drop_from, match.end())
+                blank_lines(scan, drop_from, match.end())
                 drop_from = -1
-            blank_lines(found, match.start(), match.end())
-    for index, match in enumerate(_FENCE.finditer(found.source.text)):
+            blank_lines(scan, match.start(), match.end())
+    for index, match in enumerate(_FENCE.finditer(scan.source.text)):
         if index == 0:
-            found.error("markdown-fence", "markdown code fence in the file", match.start(), match.end(), "delete this line", "")
-        blank_lines(found, match.start(), match.end())
+            scan.error("markdown-fence", "markdown code fence in the file", match.start(), match.end(), "delete this line", "")
+        blank_lines(scan, match.start(), match.end())
 
 
-def blank_lines(found: Scan, start: int, end: int) -> None:
+def blank_lines(scan: Scan, start: int, end: int) -> None:
     """Replace text by blanks, but keep the line ends."""
     for offset in range(start, end):
-        if found.clean[offset] != "\n":
-            found.clean[offset] = " "
+        if scan.clean[offset] != "\n":
+            scan.clean[offset] = " "
 
 
-def _long_lines(found: Scan) -> None:
-    if len(found.source.text) <= limits.LINE_CHARACTERS:
+def _long_lines(scan: Scan) -> None:
+    if len(scan.source.text) <= limits.LINE_CHARACTERS:
         return
     start = 0
-    for line in found.source.text.split("\n"):
+    for line in scan.source.text.split("\n"):
         if len(line) > limits.LINE_CHARACTERS:
             message = f"line of {len(line)} characters, at most {limits.LINE_CHARACTERS} are allowed"
             end = start + len(line)
-            found.error("line-too-long", message, end - 1, end, "break the line inside parentheses, or at `;`")
+            scan.error("line-too-long", message, end - 1, end, "break the line inside parentheses, or at `;`")
             return
         start += len(line) + 1
 
@@ -143,9 +143,9 @@ def ascii_for(character: str) -> str | None:
     digit = unicodedata.decimal(character, None)
     if digit is not None:
         return str(digit)
-    found = _LOOKALIKES.get(character) or _LOOKALIKES.get(character.lower())
-    if found:
-        return found
+    ascii_character = _LOOKALIKES.get(character) or _LOOKALIKES.get(character.lower())
+    if ascii_character:
+        return ascii_character
     wide = unicodedata.normalize("NFKC", character)
     return wide if len(wide) == 1 and wide < "\x80" and (wide.isalnum() or wide == "_") else None
 
@@ -153,10 +153,10 @@ def ascii_for(character: str) -> str | None:
 _WORD = re.compile("write `([a-z]+)`")
 
 
-def word_instead(help: str, before: str, after: str) -> str | None:
+def word_instead(help: str, previous_character: str, next_character: str) -> str | None:
     """Return the word to write instead of a sign, with a blank where the adjacent character is part of a word."""
-    found = _WORD.fullmatch(help)
-    if found is None:
+    match = _WORD.fullmatch(help)
+    if match is None:
         return None
-    left, right = (" " if each.isalnum() or each in ("_", ")") else "" for each in (before, after))
-    return f"{left}{found[1]}{right}"
+    left, right = (" " if each.isalnum() or each in ("_", ")") else "" for each in (previous_character, next_character))
+    return f"{left}{match[1]}{right}"

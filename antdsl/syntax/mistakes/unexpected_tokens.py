@@ -10,8 +10,8 @@ from antdsl.diagnostics.suggestion import nearest_name
 from antdsl.source import Span
 from antdsl.syntax.mistakes.number_slips import comma_in_number, number_with_comma, unit_help
 from antdsl.syntax.words import (
-    AFTER,
     BELONGS,
+    CONTINUATIONS,
     FIELD_SETTINGS,
     FORMS,
     LINE_WORDS,
@@ -25,18 +25,19 @@ from antdsl.syntax.words import (
 
 @dataclass(frozen=True, slots=True)
 class UnexpectedToken:
-    """A position where a line could not be read further. `before` and `found`: the texts on both sides (`found` is empty at the
-    line's end). `wanted`: the names of the terminals that were possible there. `rule`: the grammar rule that reads the line."""
+    """A position where a line could not be read further. `previous_text` and `token_text`: the texts on both sides (`token_text`
+    is empty at the line's end). `expected_terminals`: the names of the terminals that were possible there. `rule`: the grammar
+    rule that reads the line."""
 
     rule: str
     first: str
-    before: str
-    before_kind: str
-    found: str
-    found_kind: str
+    previous_text: str
+    previous_kind: str
+    token_text: str
+    token_kind: str
     span: Span
     first_span: Span
-    wanted: frozenset[str]
+    expected_terminals: frozenset[str]
     next: str = ""  # the text after `found`
     earlier: str = ""  # the text before `before`
 
@@ -89,103 +90,118 @@ def complain(unexpected: UnexpectedToken) -> Diagnostic:
         _quoted_library, _after_inside, _misspelt, _misplaced, _comma, _no_line, _label, _unit, _equals, _compared_twice,
         _second_line, _unfinished,
     ):  # fmt: skip
-        found = kind(unexpected)
-        if found is not None:
-            return found
+        diagnostic = kind(unexpected)
+        if diagnostic is not None:
+            return diagnostic
     message = (
-        f"found {_shown(unexpected.found)} after {_shown(unexpected.before)}"
-        if unexpected.before
-        else f"found {_shown(unexpected.found)}"
+        f"found {_quote_text(unexpected.token_text)} after {_quote_text(unexpected.previous_text)}"
+        if unexpected.previous_text
+        else f"found {_quote_text(unexpected.token_text)}"
     )
     help, fix = _form(unexpected), None
     slip = _slip(unexpected)
     if slip is not None:
         help, fix = f"did you mean `{slip}`?", Fix(unexpected.span, slip)
     elif _forgets_colon(unexpected):
-        help, fix = f"to name an argument, write `{unexpected.before}: {unexpected.found}`", _before(unexpected, ": ")
-    elif unexpected.found_kind == "word" and unexpected.next == ":" and {"RPAR", "_COMMA"} <= unexpected.wanted:
-        help, fix = f"write a comma before `{unexpected.found}:`", _behind(unexpected, ",")
+        help, fix = (
+            f"to name an argument, write `{unexpected.previous_text}: {unexpected.token_text}`",
+            _insert_before(unexpected, ": "),
+        )
+    elif unexpected.token_kind == "word" and unexpected.next == ":" and {"RPAR", "_COMMA"} <= unexpected.expected_terminals:
+        help, fix = f"write a comma before `{unexpected.token_text}:`", _behind(unexpected, ",")
     elif _forgets_arrow(unexpected):
-        help, fix = f"write `-> {unexpected.found}`", _before(unexpected, "-> ")
+        help, fix = f"write `-> {unexpected.token_text}`", _insert_before(unexpected, "-> ")
     elif forgets_brackets(unexpected):
-        help = f"write `{unexpected.before}({unexpected.found})`"
-        fix = Fix(Span(unexpected.span.source, _behind(unexpected, "").span.start, unexpected.span.end), f"({unexpected.found})")
-    return Diagnostic("unexpected-text", f"{message}, expected {_wanted(unexpected)}", unexpected.span, help=help, fix=fix)
+        help = f"write `{unexpected.previous_text}({unexpected.token_text})`"
+        fix = Fix(
+            Span(unexpected.span.source, _behind(unexpected, "").span.start, unexpected.span.end), f"({unexpected.token_text})"
+        )
+    return Diagnostic(
+        "unexpected-text", f"{message}, expected {_describe_expected(unexpected)}", unexpected.span, help=help, fix=fix
+    )
 
 
 def _after_inside(unexpected: UnexpectedToken) -> Diagnostic | None:
     """`when meal and after 1 s`: only the whole condition may be `after`."""
-    if unexpected.before != "after" or unexpected.earlier not in ("and", "or") or unexpected.found_kind != "number":
+    if unexpected.previous_text != "after" or unexpected.earlier not in ("and", "or") or unexpected.token_kind != "number":
         return None
     source = unexpected.span.source
     start = source.text.rindex("after", 0, unexpected.span.start)
     span, text = Span(source, start, start + len("after")), "time_in_state >="
-    message = f"`after {unexpected.found}` cannot be joined with a condition"
-    help = f"write `{text} {unexpected.found}` for it"
+    message = f"`after {unexpected.token_text}` cannot be joined with a condition"
+    help = f"write `{text} {unexpected.token_text}` for it"
     return Diagnostic("unexpected-text", message, span, help=help, fix=Fix(span, text))
 
 
 def _quoted_library(unexpected: UnexpectedToken) -> Diagnostic | None:
     """`use "steering"`: a library has no quotes, a file has an ending and a name."""
-    name = unexpected.before.strip('"')
-    if unexpected.first != "use" or "AS" not in unexpected.wanted or not name.isidentifier():
+    name = unexpected.previous_text.strip('"')
+    if unexpected.first != "use" or "AS" not in unexpected.expected_terminals or not name.isidentifier():
         return None
-    start = unexpected.span.source.text.rindex(unexpected.before, 0, unexpected.span.start)
-    span = Span(unexpected.span.source, start, start + len(unexpected.before))
+    start = unexpected.span.source.text.rindex(unexpected.previous_text, 0, unexpected.span.start)
+    span = Span(unexpected.span.source, start, start + len(unexpected.previous_text))
     return Diagnostic(
-        "unexpected-text", f"`{unexpected.before}` in quotes is no file", span, help=f"write `{name}`", fix=Fix(span, name)
+        "unexpected-text", f"`{unexpected.previous_text}` in quotes is no file", span, help=f"write `{name}`", fix=Fix(span, name)
     )
 
 
 def _slip(unexpected: UnexpectedToken) -> str | None:
     """Return the word of the language that is allowed here and of which the found word is a misspelling."""
-    if unexpected.found_kind != "word" or len(unexpected.found) < 3 or "NAME" in unexpected.wanted:
+    if unexpected.token_kind != "word" or len(unexpected.token_text) < 3 or "NAME" in unexpected.expected_terminals:
         return None
-    words = [terminal.lstrip("_").lower() for terminal in unexpected.wanted if terminal.lstrip("_").lower() in _JOINING]
-    return nearest_name(unexpected.found, words)
+    words = [
+        terminal.lstrip("_").lower() for terminal in unexpected.expected_terminals if terminal.lstrip("_").lower() in _JOINING
+    ]
+    return nearest_name(unexpected.token_text, words)
 
 
 def _forgets_arrow(unexpected: UnexpectedToken) -> bool:
-    return "ARROW" in unexpected.wanted and unexpected.found_kind == "word" and unexpected.next in ("", "{")
+    return "ARROW" in unexpected.expected_terminals and unexpected.token_kind == "word" and unexpected.next in ("", "{")
 
 
 def forgets_brackets(unexpected: UnexpectedToken) -> bool:
     """Return whether brackets are missing, as in `touching nest`: a name after one that begins a value and could be called with
     it."""
-    names = unexpected.before_kind == unexpected.found_kind == "word" and unexpected.next not in ("(", ".", "[", ":")
+    names = unexpected.previous_kind == unexpected.token_kind == "word" and unexpected.next not in ("(", ".", "[", ":")
     return (
-        names and unexpected.earlier in _BEGINS_VALUE and {unexpected.before, unexpected.found}.isdisjoint(_keywords() | _JOINING)
+        names
+        and unexpected.earlier in _BEGINS_VALUE
+        and {unexpected.previous_text, unexpected.token_text}.isdisjoint(_keywords() | _JOINING)
     )
 
 
 def _forgets_colon(unexpected: UnexpectedToken) -> bool:
-    between = {"RPAR", "_COMMA"} <= unexpected.wanted and unexpected.rule != "top" and unexpected.earlier in ("(", ",")
+    between = (
+        {"RPAR", "_COMMA"} <= unexpected.expected_terminals and unexpected.rule != "top" and unexpected.earlier in ("(", ",")
+    )
     return (
         between
-        and unexpected.before_kind == "word"
-        and unexpected.found_kind in ("number", "word")
+        and unexpected.previous_kind == "word"
+        and unexpected.token_kind in ("number", "word")
         and unexpected.next in (",", ")")
     )
 
 
 def plain_complaint(unexpected: UnexpectedToken) -> Diagnostic:
     """Return the same error without a guess at the intended text: for a file with a great many mistakes."""
-    if not unexpected.found:
-        return Diagnostic("unfinished-line", f"line ends after {_shown(unexpected.before)}", unexpected.span)
-    return Diagnostic("unexpected-text", f"found {_shown(unexpected.found)} where the line cannot go on with it", unexpected.span)
+    if not unexpected.token_text:
+        return Diagnostic("unfinished-line", f"line ends after {_quote_text(unexpected.previous_text)}", unexpected.span)
+    return Diagnostic(
+        "unexpected-text", f"found {_quote_text(unexpected.token_text)} where the line cannot go on with it", unexpected.span
+    )
 
 
 def better_first_word(unexpected: UnexpectedToken) -> str | None:
     """Return the word of which a line's first word is a misspelling, if the line fits no other reading."""
     words = LINE_WORDS[unexpected.rule]
     other = OTHER_WORDS.get(unexpected.first)
-    if other in words and unexpected.found not in _WRITING:
+    if other in words and unexpected.token_text not in _WRITING:
         return other
-    declares = unexpected.earlier == unexpected.first and unexpected.found == "="  # `parm smell = …`
+    declares = unexpected.earlier == unexpected.first and unexpected.token_text == "="  # `parm smell = …`
     if (
         unexpected.first in words
         or not unexpected.first.isidentifier()
-        or (unexpected.found in (*_WRITING, "(") and not declares)
+        or (unexpected.token_text in (*_WRITING, "(") and not declares)
     ):
         return None
     return nearest_name(unexpected.first, words)
@@ -214,62 +230,71 @@ def misplaced(word: str, span: Span) -> Diagnostic:
 
 def _no_line(unexpected: UnexpectedToken) -> Diagnostic | None:
     words = LINE_WORDS[unexpected.rule]
-    if unexpected.before or not words or unexpected.found in words or unexpected.rule == "behaviour_line":
+    if unexpected.previous_text or not words or unexpected.token_text in words or unexpected.rule == "behaviour_line":
         return None
     begins = f"a line here begins with one of {' '.join(words)}"
     help = begins if unexpected.rule in ("top", "spec_line") else f"{begins}, or with a name"
-    return Diagnostic("unknown-line", f"{_shown(unexpected.found)} does not begin a line here", unexpected.span, help=help)
+    return Diagnostic(
+        "unknown-line", f"{_quote_text(unexpected.token_text)} does not begin a line here", unexpected.span, help=help
+    )
 
 
 def _label(unexpected: UnexpectedToken) -> Diagnostic | None:
     """Handle `f(a b: 1)`, where the word before the colon was parsed as something else."""
     names = (
-        unexpected.before_kind == "word"
-        and unexpected.found == ":"
+        unexpected.previous_kind == "word"
+        and unexpected.token_text == ":"
         and unexpected.earlier not in ("(", ",", "{", "", "let", "param", "keep", "latch")
     )
     if not names or unexpected.rule in ("spec_line", "weight", "top"):
         return None
-    begun = unexpected.span.source.text[unexpected.first_span.start : unexpected.span.start]
-    if begun.count("(") <= begun.count(")"):
+    line_text = unexpected.span.source.text[unexpected.first_span.start : unexpected.span.start]
+    if line_text.count("(") <= line_text.count(")"):
         return None
-    message = f"found `{unexpected.before}:` after {_shown(unexpected.earlier)}, expected `,` or `)`"
-    return Diagnostic("unexpected-text", message, unexpected.span, help=f"write a comma before `{unexpected.before}:`")
+    message = f"found `{unexpected.previous_text}:` after {_quote_text(unexpected.earlier)}, expected `,` or `)`"
+    return Diagnostic("unexpected-text", message, unexpected.span, help=f"write a comma before `{unexpected.previous_text}:`")
 
 
 def _comma(unexpected: UnexpectedToken) -> Diagnostic | None:
     """Handle `(0,15)`, a decimal comma as in many countries, where it cannot be two arguments."""
-    found, source = unexpected.span, unexpected.span.source
-    comma = found.start if unexpected.found == "," else found.start - 1 if unexpected.before == "," else -1
+    token_span, source = unexpected.span, unexpected.span.source
+    comma = token_span.start if unexpected.token_text == "," else token_span.start - 1 if unexpected.previous_text == "," else -1
     span = number_with_comma(source, comma) if comma > 0 else None
     return None if span is None else comma_in_number(span)
 
 
 def _unit(unexpected: UnexpectedToken) -> Diagnostic | None:
-    number = unexpected.before_kind == "number" and unexpected.before[-1:].isdigit()
-    if not number or unexpected.found_kind != "word" or unexpected.found in _keywords() or unexpected.next == ":":
+    number = unexpected.previous_kind == "number" and unexpected.previous_text[-1:].isdigit()
+    if not number or unexpected.token_kind != "word" or unexpected.token_text in _keywords() or unexpected.next == ":":
         return None
-    if unexpected.next in _ASSIGNING and "$END" in unexpected.wanted:
+    if unexpected.next in _ASSIGNING and "$END" in unexpected.expected_terminals:
         return _line_end(unexpected)
-    if _forgets_arrow(unexpected) and unexpected.found not in UNIT_SLIPS and nearest_name(unexpected.found, UNIT_NAMES) is None:
+    if (
+        _forgets_arrow(unexpected)
+        and unexpected.token_text not in UNIT_SLIPS
+        and nearest_name(unexpected.token_text, UNIT_NAMES) is None
+    ):
         return None
-    message, help = f"`{unexpected.found}` is not a unit", unit_help(unexpected.found)
+    message, help = f"`{unexpected.token_text}` is not a unit", unit_help(unexpected.token_text)
     return Diagnostic("unknown-unit", message, unexpected.span, help=help, fix=replacement(message, unexpected.span, help))
 
 
 def _keywords() -> frozenset[str]:
-    return frozenset(word for words in LINE_WORDS.values() for word in words) | set(AFTER) | {"relax", "strongest"}
+    return frozenset(word for words in LINE_WORDS.values() for word in words) | set(CONTINUATIONS) | {"relax", "strongest"}
 
 
 def _equals(unexpected: UnexpectedToken) -> Diagnostic | None:
     if gives_with_two(unexpected):
-        message, help = f"found `==` after {_shown(unexpected.before)}", "to give a value, write `=`"
+        message, help = f"found `==` after {_quote_text(unexpected.previous_text)}", "to give a value, write `=`"
         return Diagnostic("unexpected-text", message, unexpected.span, help=help, fix=Fix(unexpected.span, "="))
-    if unexpected.found != "=" or "SAME" not in unexpected.wanted:
+    if unexpected.token_text != "=" or "SAME" not in unexpected.expected_terminals:
         return None
-    named = unexpected.before_kind == "word" and unexpected.earlier in ("(", ",") and "RPAR" in unexpected.wanted
+    named = unexpected.previous_kind == "word" and unexpected.earlier in ("(", ",") and "RPAR" in unexpected.expected_terminals
     if named and not _ASKING.search(unexpected.span.source.text, 0, unexpected.span.start):
-        message, help = f"found `=` after the argument's name `{unexpected.before}`", f"write `{unexpected.before}: …`"
+        message, help = (
+            f"found `=` after the argument's name `{unexpected.previous_text}`",
+            f"write `{unexpected.previous_text}: …`",
+        )
         return Diagnostic("unexpected-text", message, unexpected.span, help=help, fix=Fix(unexpected.span, ":"))
     return Diagnostic(
         "unexpected-text",
@@ -282,16 +307,20 @@ def _equals(unexpected: UnexpectedToken) -> Diagnostic | None:
 
 def gives_with_two(unexpected: UnexpectedToken) -> bool:
     """Return whether `==` stands for `=`, as in `let x == 1`."""
-    names = unexpected.before_kind == "word" and unexpected.earlier in ("let", "param", "latch", "keep")
-    return unexpected.found == "==" and (names or unexpected.before == unexpected.first)
+    names = unexpected.previous_kind == "word" and unexpected.earlier in ("let", "param", "latch", "keep")
+    return unexpected.token_text == "==" and (names or unexpected.previous_text == unexpected.first)
 
 
 def _compared_twice(unexpected: UnexpectedToken) -> Diagnostic | None:
-    if unexpected.found not in _COMPARISONS or "SAME" in unexpected.wanted or not {"AND", "OR"} & unexpected.wanted:
+    if (
+        unexpected.token_text not in _COMPARISONS
+        or "SAME" in unexpected.expected_terminals
+        or not {"AND", "OR"} & unexpected.expected_terminals
+    ):
         return None
     return Diagnostic(
         "unexpected-text",
-        f"found a second comparison `{unexpected.found}`",
+        f"found a second comparison `{unexpected.token_text}`",
         unexpected.span,
         help="join two comparisons with `and`",
     )
@@ -302,14 +331,14 @@ def _second_line(unexpected: UnexpectedToken) -> Diagnostic | None:
 
 
 def _line_end(unexpected: UnexpectedToken) -> Diagnostic:
-    message = f"`{unexpected.found}` in the middle of a line"
-    fix = _before(unexpected, "; ")
+    message = f"`{unexpected.token_text}` in the middle of a line"
+    fix = _insert_before(unexpected, "; ")
     return Diagnostic(
         "missing-line-end", message, unexpected.span, help="begin a new line with it, or write `;` before it", fix=fix
     )
 
 
-def _before(unexpected: UnexpectedToken, text: str) -> Fix:
+def _insert_before(unexpected: UnexpectedToken, text: str) -> Fix:
     """Return a fix that inserts text between what was read and the unexpected token."""
     return Fix(Span(unexpected.span.source, unexpected.span.start, unexpected.span.start), text)
 
@@ -324,55 +353,57 @@ def _behind(unexpected: UnexpectedToken, text: str) -> Fix:
 def begins_line(unexpected: UnexpectedToken) -> bool:
     """Return whether the unexpected token is a word that begins a line, after something that could end one."""
     words = LINE_WORDS[unexpected.rule]
-    assigns = bool(words) and unexpected.found_kind == "word" and unexpected.next in _ASSIGNING
-    return (unexpected.found in words or assigns) and "$END" in unexpected.wanted
+    assigns = bool(words) and unexpected.token_kind == "word" and unexpected.next in _ASSIGNING
+    return (unexpected.token_text in words or assigns) and "$END" in unexpected.expected_terminals
 
 
 def _unfinished(unexpected: UnexpectedToken) -> Diagnostic | None:
-    if unexpected.found:
+    if unexpected.token_text:
         return None
-    message = f"line ends after {_shown(unexpected.before)}, expected {_wanted(unexpected)}"
+    message = f"line ends after {_quote_text(unexpected.previous_text)}, expected {_describe_expected(unexpected)}"
     return Diagnostic("unfinished-line", message, unexpected.span, help=_form(unexpected))
 
 
-def _wanted(unexpected: UnexpectedToken) -> str:
-    wanted = unexpected.wanted
-    if unexpected.before == "->":
+def _describe_expected(unexpected: UnexpectedToken) -> str:
+    expected_terminals = unexpected.expected_terminals
+    if unexpected.previous_text == "->":
         return {"top": "the type of the result, such as `push`", "rule": "a value from 0 to 1"}.get(
             unexpected.rule, "the name of a state"
         )
-    if wanted >= _VALUE:
-        return AFTER.get(unexpected.before, "a value")
-    if {"RPAR", "_COMMA"} <= wanted:
+    if expected_terminals >= _VALUE:
+        return CONTINUATIONS.get(unexpected.previous_text, "a value")
+    if {"RPAR", "_COMMA"} <= expected_terminals:
         return "`,` or `)`"
-    begins = wanted & {"NAME", "STRING", "NUMBER", "NONE"} and "PLUS" not in wanted
-    if begins and unexpected.before in AFTER and unexpected.before not in ("{", "("):
-        return AFTER[unexpected.before]
-    if unexpected.rule == "world_item" and "NAME" in wanted:
-        return f"a name after one of {' '.join(WORLD_KINDS)}" if not unexpected.before else "a name"
-    if unexpected.rule == "setting" and not unexpected.before:
+    begins = expected_terminals & {"NAME", "STRING", "NUMBER", "NONE"} and "PLUS" not in expected_terminals
+    if begins and unexpected.previous_text in CONTINUATIONS and unexpected.previous_text not in ("{", "("):
+        return CONTINUATIONS[unexpected.previous_text]
+    if unexpected.rule == "world_item" and "NAME" in expected_terminals:
+        return f"a name after one of {' '.join(WORLD_KINDS)}" if not unexpected.previous_text else "a name"
+    if unexpected.rule == "setting" and not unexpected.previous_text:
         return f"one of {' '.join(FIELD_SETTINGS)}"
-    if wanted == {"$END"}:
+    if expected_terminals == {"$END"}:
         return "the end of the line"
     for terminal, words in _NEEDED:
-        if terminal in wanted and not ("$END" in wanted and terminal in ("EQUAL", "_COMMA", "_TO", "_IN", "WHEN", "ON")):
+        if terminal in expected_terminals and not (
+            "$END" in expected_terminals and terminal in ("EQUAL", "_COMMA", "_TO", "_IN", "WHEN", "ON")
+        ):
             return words
-    if "NAME" in wanted:
+    if "NAME" in expected_terminals:
         return "a name"
-    if "STRING" in wanted and "$END" not in wanted:
+    if "STRING" in expected_terminals and "$END" not in expected_terminals:
         return "text in quotes"
-    return "the end of the line" if "$END" in wanted else "something else"
+    return "the end of the line" if "$END" in expected_terminals else "something else"
 
 
 def _form(unexpected: UnexpectedToken) -> str:
-    if {"RPAR", "_COMMA"} <= unexpected.wanted and unexpected.rule != "top":
+    if {"RPAR", "_COMMA"} <= unexpected.expected_terminals and unexpected.rule != "top":
         return "arguments are written like `seek(meal)` or `wander(swing: 40 deg)`"
-    if unexpected.wanted == {"FROM"}:
+    if unexpected.expected_terminals == {"FROM"}:
         return "write it like `take 1 load from meal`"
     if (
         unexpected.rule == "statement"
-        and unexpected.found == "("
-        and unexpected.before == unexpected.first not in LINE_WORDS["statement"]
+        and unexpected.token_text == "("
+        and unexpected.previous_text == unexpected.first not in LINE_WORDS["statement"]
     ):
         return f"write `steer {unexpected.first}(…)` to move that way"
     form = FORMS.get(unexpected.first) if unexpected.first in LINE_WORDS[unexpected.rule] else RULE_FORMS.get(unexpected.rule)
@@ -381,7 +412,7 @@ def _form(unexpected: UnexpectedToken) -> str:
     return f"write it like `{form}`"
 
 
-def _shown(text: str) -> str:
+def _quote_text(text: str) -> str:
     if not text:
         return "the end of the line"
     return f"`{text}`" if len(text) <= 40 else f"`{text[:37]}...`"

@@ -5,14 +5,14 @@ from __future__ import annotations
 from math import pi, sqrt
 
 from mesa.examples.basic.boid_flockers.model import BoidFlockers
-from turns import NEIGHBOURS, given, timed, turns
+from turns import NEIGHBOURS, read_arguments, timed, turns
 
 SIGHT = 10.0
 
 
 def main() -> None:
     """Begin anew for each turn."""
-    agents, steps = given()
+    agents, steps = read_arguments()
     side = SIGHT * sqrt(agents * pi / NEIGHBOURS)
 
     def turn() -> tuple[float, float]:

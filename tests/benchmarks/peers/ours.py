@@ -27,10 +27,10 @@ def main() -> None:
             with_code(world)
             for _ in range(WARM):
                 step(world)
-        begun = process_time()
+        start = process_time()
         for _ in range(steps):
             step(world)
-        spent = (process_time() - begun) / steps
+        spent = (process_time() - start) / steps
         print(json.dumps({"step": spent, "neighbours": neighbours(world, case.sight) if case.sight else None}), flush=True)
 
 

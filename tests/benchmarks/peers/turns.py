@@ -17,7 +17,7 @@ NEIGHBOURS = 9.0  # others that each is to have within its sight
 Points = list[tuple[float, float]]
 
 
-def given() -> tuple[int, int]:
+def read_arguments() -> tuple[int, int]:
     """AGENTS and STEPS of the command line."""
     agents, steps = map(int, sys.argv[1:3])
     return agents, steps
@@ -34,10 +34,10 @@ def timed(step: Callable[[], object], steps: int, warm: int = WARM) -> float:
     """CPU seconds of a step, after `warm` that are not counted."""
     for _ in range(warm):
         step()
-    begun = process_time()
+    start = process_time()
     for _ in range(steps):
         step()
-    return (process_time() - begun) / steps
+    return (process_time() - start) / steps
 
 
 def crowd(agents: int, sight: float) -> tuple[Points, Points]:
@@ -47,14 +47,14 @@ def crowd(agents: int, sight: float) -> tuple[Points, Points]:
     cell = sight * sqrt(pi / (NEIGHBOURS + 1))  # the own cell has nobody else
     wide = int(sqrt(agents)) + 1
     shaken = [(draw.uniform(-0.3, 0.3), draw.uniform(-0.3, 0.3)) for _ in range(agents)]
-    places = [((k % wide - wide / 2 + x) * cell, (k // wide - wide / 2 + y) * cell) for k, (x, y) in enumerate(shaken)]
+    positions = [((k % wide - wide / 2 + x) * cell, (k // wide - wide / 2 + y) * cell) for k, (x, y) in enumerate(shaken)]
     courses = [(cos(angle), sin(angle)) for angle in (draw.uniform(0, tau) for _ in range(agents))]
-    return places, courses
+    return positions, courses
 
 
-def neighbours(places: Points, sight: float) -> float:
+def neighbours(positions: Points, sight: float) -> float:
     """How many others are within `sight`, in the mean."""
     from scipy.spatial import cKDTree
 
-    tree = cKDTree(np.array(places))
+    tree = cKDTree(np.array(positions))
     return float(tree.count_neighbors(tree, sight) / tree.n - 1)

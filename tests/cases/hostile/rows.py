@@ -63,6 +63,6 @@ class Row:
     faults: bool = False  # whether agents get values that are none, which are stopped or put in quarantine
 
 
-def named(file: str, more: str = "") -> dict[str, tuple[str, str]]:
+def named(file: str, extra: str = "") -> dict[str, tuple[str, str]]:
     """An edit of the scene: another mesh for the ground."""
-    return {"scene.yaml": ("ground.ply}", f"{file}{more}}}")}
+    return {"scene.yaml": ("ground.ply}", f"{file}{extra}}}")}

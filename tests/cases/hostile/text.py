@@ -10,7 +10,7 @@ _TEXT = PROGRAM.decode()
 _STEER = "steer wander(swing: 40 deg)"
 
 
-def whole(name: str, text: str | bytes, verdict: str, words: str = "", *, warned: bool = False) -> Row:
+def program_row(name: str, text: str | bytes, verdict: str, words: str = "", *, warned: bool = False) -> Row:
     """A row whose program is this text."""
     return Row(name, verdict, words, {"walker.ant": text if isinstance(text, bytes) else text.encode()}, warned=warned)
 
@@ -18,7 +18,7 @@ def whole(name: str, text: str | bytes, verdict: str, words: str = "", *, warned
 def edit(name: str, old: str, new: str, verdict: str, words: str = "", *, warned: bool = False) -> Row:
     """A row whose program has one piece of text replaced."""
     assert old in _TEXT, name
-    return whole(name, _TEXT.replace(old, new, 1), verdict, words, warned=warned)
+    return program_row(name, _TEXT.replace(old, new, 1), verdict, words, warned=warned)
 
 
 def line(name: str, text: str, verdict: str, words: str = "", *, warned: bool = False) -> Row:
@@ -58,14 +58,14 @@ def _behaviours(first: str, count: int) -> str:
 
 
 ROWS = [
-    whole("A1 an empty file", "", "empty-file", "nothing in it"),
-    whole("A1 comments only", "# nothing\n# here\n", "empty-file"),
-    whole("A1 a byte order mark only", b"\xef\xbb\xbf", "empty-file"),
-    whole("A1 a byte order mark", b"\xef\xbb\xbf" + PROGRAM, ""),
-    whole("A2 invalid UTF-8", PROGRAM.replace(b"ant 1", b"ant 1 # \xe9"), "not-utf8", "byte 8"),
-    whole("A2 UTF-16", _TEXT.encode("utf-16"), "not-an-ant-file", "UTF-16"),
-    whole("A2 UTF-16 without a mark", _TEXT.encode("utf-16-le"), "control-character", "U+0000"),
-    whole("A2 UTF-8 with a surrogate", PROGRAM.replace(b"ant 1", b"ant 1 # \xed\xa0\x80"), "not-utf8"),
+    program_row("A1 an empty file", "", "empty-file", "nothing in it"),
+    program_row("A1 comments only", "# nothing\n# here\n", "empty-file"),
+    program_row("A1 a byte order mark only", b"\xef\xbb\xbf", "empty-file"),
+    program_row("A1 a byte order mark", b"\xef\xbb\xbf" + PROGRAM, ""),
+    program_row("A2 invalid UTF-8", PROGRAM.replace(b"ant 1", b"ant 1 # \xe9"), "not-utf8", "byte 8"),
+    program_row("A2 UTF-16", _TEXT.encode("utf-16"), "not-an-ant-file", "UTF-16"),
+    program_row("A2 UTF-16 without a mark", _TEXT.encode("utf-16-le"), "control-character", "U+0000"),
+    program_row("A2 UTF-8 with a surrogate", PROGRAM.replace(b"ant 1", b"ant 1 # \xed\xa0\x80"), "not-utf8"),
     *(
         edit(f"A3 U+{ord(sign):04X} in a comment", "ant 1\n", f"ant 1 # {sign}\n", "control-character", f"U+{ord(sign):04X}")
         for sign in "\0\a\x1b\x7f\x85\u2028\u2029"
@@ -77,24 +77,24 @@ ROWS = [
     edit("A4 a Cyrillic letter", "max_speed", "ma\u0445_speed", "look-alike", "max_speed"),
     edit("A4 a full-width digit", "4 mm", "\uff14 mm", "look-alike", "`4`"),
     edit("A4 an Arabic-Indic digit", "4 mm", "\u0664 mm", "look-alike", "`4`"),
-    whole("A5 CRLF", _TEXT.replace("\n", "\r\n"), ""),
-    whole("A5 CR", _TEXT.replace("\n", "\r"), ""),
-    whole("A5 mixed line ends", _TEXT.replace("\n", "\r\n", 3).replace("\n", "\r", 1), ""),
-    whole("A5 tabs and blanks", _TEXT.replace("  ", " \t"), ""),
-    whole("A5 no end of the last line", _TEXT.rstrip(), ""),
-    whole("A5 a line of 200,000 characters", _TEXT + "#" + "x" * 200_000 + "\n", "line-too-long", "at most 2000"),
-    whole("A6 280 kB", _TEXT + "# x\n" * 70_000, "file-too-large", "256 KiB"),
+    program_row("A5 CRLF", _TEXT.replace("\n", "\r\n"), ""),
+    program_row("A5 CR", _TEXT.replace("\n", "\r"), ""),
+    program_row("A5 mixed line ends", _TEXT.replace("\n", "\r\n", 3).replace("\n", "\r", 1), ""),
+    program_row("A5 tabs and blanks", _TEXT.replace("  ", " \t"), ""),
+    program_row("A5 no end of the last line", _TEXT.rstrip(), ""),
+    program_row("A5 a line of 200,000 characters", _TEXT + "#" + "x" * 200_000 + "\n", "line-too-long", "at most 2000"),
+    program_row("A6 280 kB", _TEXT + "# x\n" * 70_000, "file-too-large", "256 KiB"),
     Row("A6 a pipe", "not-a-file", "", make=lambda f: ((f / "walker.ant").unlink(), os.mkfifo(f / "walker.ant"))),
     Row("A6 a folder", "not-a-file", "", make=lambda f: ((f / "walker.ant").unlink(), (f / "walker.ant").mkdir())),
     value("A7 30,000 brackets", "(" * 30_000, "nesting-too-deep", "64"),
     value("A7 1,900 minus signs", "-" * 1_900 + "1", "expression-too-deep", "200"),
-    whole("A7 10,000 open states", _TEXT + "state a {" * 10_000, "nesting-too-deep", "64"),
+    program_row("A7 10,000 open states", _TEXT + "state a {" * 10_000, "nesting-too-deep", "64"),
     value("A8 900 terms", "+".join(["1"] * 900), "expression-too-deep", "200"),
     edit("A8 30 lets that double", _STEER, f"let a0 = speed / 1 mm/s\n{_DOUBLING}  steer wander(swing: a30 * 1 deg)", ""),
-    whole("A9 3,000 equal mistakes", _TEXT + "species b {\n" + "  steer nonsense\n" * 3_000 + "}\n", "misplaced-line"),
+    program_row("A9 3,000 equal mistakes", _TEXT + "species b {\n" + "  steer nonsense\n" * 3_000 + "}\n", "misplaced-line"),
     edit("A10 text that does not end", "stroll amber", 'stroll "Walks amber', "unclosed-text"),
-    whole("A10 a block that does not end", _TEXT.rstrip()[:-1], "unclosed-brace"),
-    whole("A10 a bracket that does not end", _TEXT.rstrip()[:-5], "unclosed-bracket"),
+    program_row("A10 a block that does not end", _TEXT.rstrip()[:-1], "unclosed-brace"),
+    program_row("A10 a bracket that does not end", _TEXT.rstrip()[:-5], "unclosed-bracket"),
     *(
         value(f"A11 {text}", text, "bad-number")
         for text in ("1e400", "1e-400", "0x10", "1_0", "1.2.3", ".5.", "00010", "7" * 500)
@@ -153,13 +153,13 @@ ROWS = [
         {"lib.ant": _LIBRARY.encode()},
         {"walker.ant": ("use steering", 'use steering\nuse "./Lib.ant" as mine')},
     ),
-    whole(
+    program_row(
         "A23 30 behaviours that double",
         _TEXT.replace("species walker", _behaviours("vector(0, 0, 0)", 31) + "species walker").replace(_STEER, "steer b30()"),
         "too-large",
         "20,000",
     ),
-    whole(
+    program_row(
         "A24 behaviours in a circle",
         _TEXT.replace("species walker", _behaviours("b2()", 3) + "species walker").replace(_STEER, "steer b2()"),
         "circle",
@@ -205,26 +205,26 @@ ROWS = [
         "steer separate(radius: 1e9 m)",
         "wide-radius",
     ),
-    whole(
+    program_row(
         "A33 257 states",
         _TEXT.replace("\n}\n", "\n" + "".join(f"  state s{n} {{ steer halt() }}\n" for n in range(257)) + "}\n"),
         "too-many",
         "256",
     ),
-    whole(
+    program_row(
         "A33 300 attributes",
         _TEXT.replace("  start stroll", "".join(f"  a{n} = {n}\n" for n in range(300)) + "  start stroll"),
         "too-many",
         "256",
     ),
-    whole("A34 a merge conflict", "<<<<<<< HEAD\n" + _TEXT, "merge-conflict"),
+    program_row("A34 a merge conflict", "<<<<<<< HEAD\n" + _TEXT, "merge-conflict"),
     edit("A34 typographic quotes", "stroll amber", "stroll \u201cWalks\u201d amber", "wrong-quotes"),
     edit("A34 a no-break space", "size 4 mm", "size 4\u00a0mm", "odd-blank"),
-    whole("A34 a fence of Markdown", f"```ant\n{_TEXT}```\n", "markdown-fence"),
+    program_row("A34 a fence of Markdown", f"```ant\n{_TEXT}```\n", "markdown-fence"),
     edit("A35 a newer edition", "ant 1\n", "ant 9\n", "unknown-edition", "newer antdsl"),
     edit("A35 no edition", "ant 1\n", "", "missing-edition"),
-    whole("A36 YAML", SCENE, "not-an-ant-file", "YAML"),
-    whole("A36 JSON", '{"a": 1}', "not-an-ant-file", "JSON"),
-    whole("A36 a USD crate", b"PXR-USDC" + bytes(60), "not-an-ant-file", "USD"),
-    whole("A36 a picture", b"\x89PNG\r\n\x1a\n" + bytes(60), "not-an-ant-file", "picture"),
+    program_row("A36 YAML", SCENE, "not-an-ant-file", "YAML"),
+    program_row("A36 JSON", '{"a": 1}', "not-an-ant-file", "JSON"),
+    program_row("A36 a USD crate", b"PXR-USDC" + bytes(60), "not-an-ant-file", "USD"),
+    program_row("A36 a picture", b"\x89PNG\r\n\x1a\n" + bytes(60), "not-an-ant-file", "picture"),
 ]  # fmt: skip

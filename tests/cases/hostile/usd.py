@@ -35,9 +35,9 @@ def usd(
     return Row(name, verdict, words, {"scene.yaml": scene, file: data}, frames=frames)
 
 
-def within(more: str) -> str:
+def within(inner: str) -> str:
     """The mesh below a prim with more in it."""
-    return HEAD + 'def Xform "set"\n{\n' + more + "\n" + MESH + "}\n"
+    return HEAD + 'def Xform "set"\n{\n' + inner + "\n" + MESH + "}\n"
 
 
 def placed(row: str) -> str:
@@ -67,16 +67,16 @@ def package(name: str, data: bytes) -> bytes:
     return buffer.getvalue()
 
 
-def deep(levels: int) -> str:
+def nest_prims(levels: int) -> str:
     return HEAD + 'def Xform "a"\n{\n' * levels + MESH + "}\n" * levels
 
 
 def nested(levels: int, count: int) -> str:
     """Point instancers of so many instances in each other: count to the power of levels."""
-    indices, places = ", ".join(["0"] * count), ", ".join(f"({number}, 0, 0)" for number in range(count))
+    indices, positions = ", ".join(["0"] * count), ", ".join(f"({number}, 0, 0)" for number in range(count))
     parts = [
         f'def PointInstancer "i{level}"\n{{\nrel prototypes = [</set/{f"i{level + 1}" if level < levels - 1 else "ground"}>]\n'
-        f"int[] protoIndices = [{indices}]\npoint3f[] positions = [{places}]\n}}\n"
+        f"int[] protoIndices = [{indices}]\npoint3f[] positions = [{positions}]\n}}\n"
         for level in range(levels)
     ]
     return within("".join(parts))
@@ -121,9 +121,9 @@ ROWS = [
     usd("A3 zeros at its end", GOOD.encode() + bytes(9), "bad-usd", "cannot be read as USD"),
     usd("A1 nothing", b"", "bad-usd", "cannot be read as USD"),
     usd("A1 a head alone", HEAD, "no-such-prim"),
-    usd("A7 200 levels", deep(200), prim="/a"),
-    usd("A7 1,000 levels", deep(1000), "bad-usd", "levels deep", "/a"),
-    usd("A7 40,000 levels", deep(40_000), "bad-usd", "brings down", "/a"),
+    usd("A7 200 levels", nest_prims(200), prim="/a"),
+    usd("A7 1,000 levels", nest_prims(1000), "bad-usd", "levels deep", "/a"),
+    usd("A7 40,000 levels", nest_prims(40_000), "bad-usd", "brings down", "/a"),
     usd(
         "A7 50,000 dictionaries",
         HEAD + 'def Mesh "ground" (\ncustomData = ' + "{dictionary a = " * 50_000 + "{}" + "}" * 50_000 + "\n)\n{\n}\n",
@@ -164,7 +164,7 @@ ROWS = [
         "/set",
     ),
     usd("M8 a package", package("set.usda", GOOD.encode()), file="set.usdz"),
-    usd("M8 a package of levels", package("set.usda", deep(40_000).encode()), "bad-usd", "brings down", "/a", "set.usdz"),
+    usd("M8 a package of levels", package("set.usda", nest_prims(40_000).encode()), "bad-usd", "brings down", "/a", "set.usdz"),
     usd("M8 a package with a name that leaves", package("../../set.usda", GOOD.encode()), "bad-usd", "leaves", file="set.usdz"),
     usd("M3 a crate that aborts", ABORTS, "bad-usd", "brings down", file="set.usdc"),
     usd("M3 a crate that aborts in a package", package("set.usdc", ABORTS), "bad-usd", "brings down", file="set.usdz"),

@@ -181,7 +181,7 @@ def _angle(w: Writer, e: model.Op) -> Value:
     return values.angle_between(w.b, *_pair(w, e))
 
 
-def _way(w: Writer, e: model.Expr) -> Vec:
+def _unit_direction(w: Writer, e: model.Expr) -> Vec:
     """A direction of length 1; `up` and `heading` are so already."""
     if isinstance(e, model.Attribute) and e.of is None and e.name in ("up", "heading"):
         return vector(w, e)
@@ -189,12 +189,12 @@ def _way(w: Writer, e: model.Expr) -> Vec:
 
 
 def _rotate(w: Writer, e: model.Op) -> Value:
-    return values.rotate(w.b, vector(w, e.args[0]), _way(w, e.args[1]), scalar(w, e.args[2]))  # type: ignore[arg-type]
+    return values.rotate(w.b, vector(w, e.args[0]), _unit_direction(w, e.args[1]), scalar(w, e.args[2]))  # type: ignore[arg-type]
 
 
 def _project(w: Writer, e: model.Op) -> Value:
-    way = _way(w, e.args[1])  # type: ignore[arg-type]
-    return values.scale(w.b, way, values.dot(w.b, vector(w, e.args[0]), way))  # type: ignore[arg-type]
+    direction = _unit_direction(w, e.args[1])  # type: ignore[arg-type]
+    return values.scale(w.b, direction, values.dot(w.b, vector(w, e.args[0]), direction))  # type: ignore[arg-type]
 
 
 def _limit(w: Writer, e: model.Op) -> Value:

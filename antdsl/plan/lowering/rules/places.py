@@ -28,8 +28,8 @@ def where(w: Writer, value: Value, e: model.Expr) -> tuple[Node, Vec]:
     if isinstance(value, Element):
         prefix = "" if value.what is model.Kind.ITEM else "position."
         return b.true, Vec(*(b("other", attrs=(prefix + axis,), kind=Kind.F32) for axis in AXES))
-    there, offset = away(w, value, e)
-    return there, values.add(b, w.read_vector("position"), offset)
+    is_present, offset = away(w, value, e)
+    return is_present, values.add(b, w.read_vector("position"), offset)
 
 
 def away(w: Writer, value: Value, e: model.Expr) -> tuple[Node, Vec]:
@@ -45,13 +45,13 @@ def away(w: Writer, value: Value, e: model.Expr) -> tuple[Node, Vec]:
         within, distance, x, y, z = (b("get", near, attrs=(i,)) for i in range(5))
         return within, values.scale(b, Vec(x, y, z), b("neg", distance))
     if isinstance(value, Named) and value.kind is model.Kind.CURVE:
-        there: Node = b.true
+        is_present: Node = b.true
         point = _point(w, value.name)
     elif isinstance(value, Vec | Own | Ref):
-        there, point = where(w, value, e)
+        is_present, point = where(w, value, e)
     else:
         raise PlanError(f"a {type(value).__name__} has no place: {e.span.text!r}")
-    return there, values.sub(b, point, w.read_vector("position"))
+    return is_present, values.sub(b, point, w.read_vector("position"))
 
 
 def far(w: Writer, value: Value, e: model.Expr) -> Node:
@@ -67,8 +67,8 @@ def far(w: Writer, value: Value, e: model.Expr) -> Node:
     if isinstance(value, Named) and value.kind in _SOLID:
         near = b("obstacle.near", b.number(inf), attrs=(value.name,))
         return b("where", b("get", near, attrs=(0,)), b("get", near, attrs=(1,)), b.number(inf))
-    there, offset = away(w, value, e)
-    return b("where", there, values.length(b, offset), b.number(inf))
+    is_present, offset = away(w, value, e)
+    return b("where", is_present, values.length(b, offset), b.number(inf))
 
 
 def _single(w: Writer, value: Value) -> Value:
@@ -85,10 +85,10 @@ def _single(w: Writer, value: Value) -> Value:
 def _of_ref(w: Writer, ref: Ref) -> tuple[Node, Vec]:
     b = w.b
     if ref.what is model.Kind.ITEM:
-        there = b("item.alive", ref.node, attrs=(ref.of,))
-        return there, Vec(*(b("item.get", ref.node, attrs=(ref.of, axis), kind=Kind.F32) for axis in AXES))
-    there = b("agent.alive", ref.node, attrs=(ref.of,))
-    return there, Vec(*(b("agent.get", ref.node, attrs=(ref.of, f"position.{axis}"), kind=Kind.F32) for axis in AXES))
+        is_present = b("item.alive", ref.node, attrs=(ref.of,))
+        return is_present, Vec(*(b("item.get", ref.node, attrs=(ref.of, axis), kind=Kind.F32) for axis in AXES))
+    is_present = b("agent.alive", ref.node, attrs=(ref.of,))
+    return is_present, Vec(*(b("agent.get", ref.node, attrs=(ref.of, f"position.{axis}"), kind=Kind.F32) for axis in AXES))
 
 
 def _point(w: Writer, curve: str) -> Vec:
@@ -119,23 +119,23 @@ def _direction(w: Writer, e: model.Op) -> Value:
         return values.neg(b, _toward(w, start, start_expr))
     if isinstance(start, Own):
         return _toward(w, end, end_expr)
-    here, from_point = where(w, start, start_expr)
-    there, to_point = where(w, end, end_expr)
-    return values.keep_if(b, b("and", here, there), values.unit(b, values.sub(b, to_point, from_point)))
+    has_start, from_point = where(w, start, start_expr)
+    has_end, to_point = where(w, end, end_expr)
+    return values.keep_if(b, b("and", has_start, has_end), values.unit(b, values.sub(b, to_point, from_point)))
 
 
 def _toward(w: Writer, value: Value, e: model.Expr) -> Vec:
     b = w.b
     if isinstance(value, Hit):
         return values.keep_if(b, value.hit, value.direction)
-    there, offset = away(w, value, e)
+    is_present, offset = away(w, value, e)
     size = b("pair.distance") if isinstance(value, Element) else values.length(b, offset)
-    return values.keep_if(b, there, values.along(b, offset, size))
+    return values.keep_if(b, is_present, values.along(b, offset, size))
 
 
 def _position(w: Writer, e: model.Op) -> Value:
-    there, point = where(w, *_place(w, e))
-    return values.choose(w.b, there, point, w.read_vector("position"))
+    is_present, point = where(w, *_place(w, e))
+    return values.choose(w.b, is_present, point, w.read_vector("position"))
 
 
 def _velocity(w: Writer, e: model.Op) -> Value:
@@ -161,8 +161,8 @@ def _touching(w: Writer, e: model.Op) -> Value:
             return b("get", b("obstacle.near", radius, attrs=(value.name,)), attrs=(0,))
         if value.kind is model.Kind.ITEMS:
             every = b("set.items", b.number(inf), attrs=(value.name,))
-            room = b("add", b("other", attrs=("radius",), kind=Kind.F32), radius)
-            return b("reduce.any", every, b("le", b("pair.distance"), room))
+            reach = b("add", b("other", attrs=("radius",), kind=Kind.F32), radius)
+            return b("reduce.any", every, b("le", b("pair.distance"), reach))
         if value.kind is model.Kind.SPECIES:
             raise NotYet("touching any agent of a species", e.span, f"any(n in neighbours(size, of: {value.name}): touching(n))")
     if isinstance(value, Element):

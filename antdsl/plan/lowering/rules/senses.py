@@ -33,11 +33,11 @@ def _plain(sense: Sense, word: Builtin) -> Callable[[Writer, model.Op], Value]:
     def rule(w: Writer, e: model.Op) -> Value:
         rest = e.args[1:] if sense.of else e.args
         operands = [node for arg in rest if arg is not None for node in _parts(lower(w, arg), arg)]
-        here = w.b(sense.op, *operands, attrs=(_name(w, e),) if sense.of else ())
+        sense_node = w.b(sense.op, *operands, attrs=(_name(w, e),) if sense.of else ())
         if len(sense.kinds) == 1:
-            return here
-        found = [w.b("get", here, attrs=(first + i,)) for i in range(size)]
-        return Vec(*found) if size == 3 else found[0]
+            return sense_node
+        components = [w.b("get", sense_node, attrs=(first + i,)) for i in range(size)]
+        return Vec(*components) if size == 3 else components[0]
 
     return rule
 

@@ -55,7 +55,7 @@ class Reader:
     params: Mapping[str, Param]
     known: dict[str, Interval] = field(default_factory=dict)
     keys: dict[int, str] = field(default_factory=dict)
-    kept: list[object] = field(default_factory=list)  # what the ids of `keys` belong to stays alive
+    references: list[object] = field(default_factory=list)  # what the ids of `keys` belong to stays alive
     # A let may stand in many places, and what it names be made of lets again: each is looked at once.
     ranges: dict[int, Interval] = field(default_factory=dict)
     behind: dict[tuple[int, bool], Cases] = field(default_factory=dict)
@@ -105,12 +105,12 @@ class Reader:
         if not (math.isnan(known.low) or math.isnan(known.high)):
             self.known[key] = known
         below, above = Interval(high=edge, high_open=True), Interval(low=edge, low_open=True)
-        ways = {
+        alternatives = {
             "lt": (below,), "gt": (above,), "eq": (Interval(edge, edge),), "ne": (below, above),
             "le": (Interval(high=edge),), "ge": (Interval(low=edge),),
         }[name]  # fmt: skip
-        found = [interval.meet(self.known.get(key, Interval())) for interval in ways]
-        return [Case(numbers={key: interval}) for interval in found if not interval.empty]
+        intervals = [interval.meet(self.known.get(key, Interval())) for interval in alternatives]
+        return [Case(numbers={key: interval}) for interval in intervals if not interval.empty]
 
     def key(self, part: object) -> str:
         """Return a key that is equal for expressions of equal meaning; two draws or two memories never are. Long keys are hashed:
@@ -119,7 +119,7 @@ class Reader:
             return self.key(part.binding.value)
         known = self.keys.get(id(part))
         if known is None:
-            self.kept.append(part)
+            self.references.append(part)
             known = self._key(part)
             if len(known) > 200:
                 known = hashlib.blake2b(known.encode(), digest_size=16).hexdigest()

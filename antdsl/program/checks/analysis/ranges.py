@@ -84,8 +84,8 @@ def _of_op(op: Op, params: Mapping[str, Param], known: dict[int, Interval]) -> I
     if rule is None:
         return ANY
     parts = [range_of(arg, params, known) for arg in op.args]
-    found = rule(parts)
-    return ANY if math.isnan(found.low) or math.isnan(found.high) else found
+    bounds = rule(parts)
+    return ANY if math.isnan(bounds.low) or math.isnan(bounds.high) else bounds
 
 
 def _products(a: Interval, b: Interval) -> Interval:

@@ -20,12 +20,12 @@ from antdsl.program.traverse import parts
 Own = str | Binding  # the attribute that is set, or the stored memory
 
 
-class Way(IntEnum):
+class Influence(IntEnum):
     """How a value that is read gets into another: not at all, less and less in shorter steps, unchanged, in ways unknown here,
     changed. Unchanged means that doing it twice in a row is the same as once, so the frequency does not matter."""
 
     NONE = 0
-    GONE = 1
+    VANISHING = 1
     SAME = 2
     UNSURE = 3
     CHANGED = 4
@@ -38,7 +38,7 @@ class Short:
     influence. `makers`: the first two operations that change the value read. `by`: the operation that causes the deviation, or in
     which the value vanishes."""
 
-    way: Way = Way.NONE
+    influence: Influence = Influence.NONE
     power: float = 0.0
     to: float | None = None
     off: float = math.inf
@@ -47,16 +47,18 @@ class Short:
 
     @property
     def vanishes(self) -> bool:
-        return self.way <= Way.GONE and self.power > 0
+        return self.influence <= Influence.VANISHING and self.power > 0
 
     @property
     def timed(self) -> bool:
-        return self.way <= Way.GONE and (self.off < math.inf or self.power < 0 or self.way is Way.GONE)
+        return self.influence <= Influence.VANISHING and (
+            self.off < math.inf or self.power < 0 or self.influence is Influence.VANISHING
+        )
 
 
 Below = Sequence[Short]
-_UNSURE = Short(Way.UNSURE)
-_ASKED = frozenset(("lt", "le", "gt", "ge", "eq", "ne", "is_some", "is_none", "chance", "event", "touching"))
+_UNSURE = Short(Influence.UNSURE)
+_QUERIES = frozenset(("lt", "le", "gt", "ge", "eq", "ne", "is_some", "is_none", "chance", "event", "touching"))
 _NOW_AND_THEN = frozenset(("chance", "event"))  # they come as often at any frame rate
 
 
@@ -65,18 +67,18 @@ def changers(value: Expr, own: Own, driven: bool = False) -> tuple[Expr, ...]:
     update is independent of the frame rate, or uses the unit `step`, which `--strict` reports. `driven`: something else also
     changes the value."""
     short = _short(value, own, driven)
-    if short.way is Way.CHANGED:
-        found = short.makers
+    if short.influence is Influence.CHANGED:
+        makers = short.makers
     else:
-        wrong = short.way is Way.GONE or (short.way is Way.SAME and not _like_time(short.off, value))
-        found = (short.by,) if wrong and short.by is not None else ()
-    return tuple(each for each in found if not _by_step(each))
+        wrong = short.influence is Influence.VANISHING or (short.influence is Influence.SAME and not _like_time(short.off, value))
+        makers = (short.by,) if wrong and short.by is not None else ()
+    return tuple(each for each in makers if not _by_step(each))
 
 
 def is_rate(value: Expr, own: Own) -> bool:
     """Whether a value that is added times `dt` is so much a second, by the same measure."""
     short = _short(value, own, False)
-    return short.way is Way.UNSURE or _like_time(short.power + 1, value) or _by_step(value)
+    return short.influence is Influence.UNSURE or _like_time(short.power + 1, value) or _by_step(value)
 
 
 def timed(value: Expr) -> bool:
@@ -117,30 +119,30 @@ def _short(value: Expr, own: Own, driven: bool) -> Short:
     for part in _upward(value, own):
         below = [known[id(each)] for each in _below(part, own)]
         if is_own(part, own):
-            found = Short(Way.SAME)
+            short = Short(Influence.SAME)
         elif isinstance(part, Op):
-            found = _chosen(part, below, own, driven) if part.name == "if" else _RULES.get(part.name, _other)(part, below)
+            short = _chosen(part, below, own, driven) if part.name == "if" else _RULES.get(part.name, _other)(part, below)
         elif isinstance(part, Const):
-            found = _constant(part)
+            short = _constant(part)
         elif isinstance(part, Reduce):
-            found = _together(part, below)
-            found = found if found.vanishes else Short()  # what is read inside a set is about the others
+            short = _together(part, below)
+            short = short if short.vanishes else Short()  # what is read inside a set is about the others
         else:
-            found = below[0] if below else Short()
-        known[id(part)] = found
+            short = below[0] if below else Short()
+        known[id(part)] = short
     return known[id(value)]
 
 
 def _upward(value: Expr, own: Own) -> Iterator[Expr]:
     """Yield the parts of an expression that contribute to its value, each once, operands first."""
     stack: list[tuple[Expr, bool]] = [(value, False)]
-    seen: set[int] = set()
+    visited: set[int] = set()
     while stack:
-        part, done = stack.pop()
-        if done:
+        part, is_expanded = stack.pop()
+        if is_expanded:
             yield part
-        elif id(part) not in seen:
-            seen.add(id(part))
+        elif id(part) not in visited:
+            visited.add(id(part))
             stack.append((part, True))
             stack += [(each, False) for each in reversed(_below(part, own))]
 
@@ -159,34 +161,34 @@ def _below(part: Expr, own: Own) -> list[Expr]:
 
 def _constant(part: Const) -> Short:
     if part.number == 0:
-        return _gone(math.inf)
+        return _vanishing(math.inf)
     if part.step:
-        return _gone(part.step) if part.step > 0 else Short(power=part.step)
+        return _vanishing(part.step) if part.step > 0 else Short(power=part.step)
     return Short(to=None if part.u else part.number)
 
 
 # --- one operation ---------------------------------------------------------------------------------------------------
 
 
-def _gone(power: float, way: Way = Way.NONE, by: Expr | None = None) -> Short:
-    return Short(way, power, 0.0, power, by=by)
+def _vanishing(power: float, influence: Influence = Influence.NONE, by: Expr | None = None) -> Short:
+    return Short(influence, power, 0.0, power, by=by)
 
 
-def _first(below: Iterable[Short], *more: Expr) -> tuple[Expr, ...]:
-    return tuple(dict.fromkeys([*(each for one in below for each in one.makers), *more]))[:2]
+def _first(below: Iterable[Short], *extra: Expr) -> tuple[Expr, ...]:
+    return tuple(dict.fromkeys([*(each for one in below for each in one.makers), *extra]))[:2]
 
 
 def _changed(op: Expr, below: Below) -> Short:
-    return Short(Way.CHANGED, min([0.0, *(each.power for each in below)]), makers=_first(below, op))
+    return Short(Influence.CHANGED, min([0.0, *(each.power for each in below)]), makers=_first(below, op))
 
 
-def _kept(own: Short, off: float, by: Expr | None) -> Short:
+def _with_offset(own: Short, off: float, by: Expr | None) -> Short:
     """Return the value read, with an added deviation proportional to `dt ** off`."""
-    return replace(own, off=off, by=by) if own.way is Way.SAME and off < own.off else own
+    return replace(own, off=off, by=by) if own.influence is Influence.SAME and off < own.off else own
 
 
-def _way(below: Below) -> Way:
-    return max((each.way for each in below), default=Way.NONE)
+def _strongest_influence(below: Below) -> Influence:
+    return max((each.influence for each in below), default=Influence.NONE)
 
 
 def _near(value: float | None, number: float) -> bool:
@@ -197,19 +199,19 @@ def _sum(op: Op, below: Below) -> Short:
     a, b = below
     if op.name == "sub" and _has_floor(op.args[1]):
         return a  # `x - floor(x)`: put back into its range
-    own, other = (a, b) if a.way >= b.way else (b, a)
-    if own.way is Way.UNSURE:
+    own, other = (a, b) if a.influence >= b.influence else (b, a)
+    if own.influence is Influence.UNSURE:
         return _UNSURE
-    if own.way is Way.CHANGED:
-        return replace(own, makers=_first(below, *(() if other.vanishes or other.way is Way.UNSURE else (op,))))
-    if own.way is Way.SAME:
-        if other.way is Way.SAME or not other.vanishes or (op.name == "sub" and own is b):
+    if own.influence is Influence.CHANGED:
+        return replace(own, makers=_first(below, *(() if other.vanishes or other.influence is Influence.UNSURE else (op,))))
+    if own.influence is Influence.SAME:
+        if other.influence is Influence.SAME or not other.vanishes or (op.name == "sub" and own is b):
             return _changed(op, below)
-        return _kept(own, other.power, op)
+        return _with_offset(own, other.power, op)
     off = min(a.off, b.off)
     to = None if a.to is None or b.to is None else a.to - b.to if op.name == "sub" else a.to + b.to
     if _near(to, 0):
-        return _gone(off, own.way, own.by)
+        return _vanishing(off, own.influence, own.by)
     return Short(power=min(a.power, b.power, 0.0), to=to, off=off)
 
 
@@ -219,32 +221,32 @@ def _has_floor(expr: Expr | None) -> bool:
 
 def _product(op: Op, below: Below) -> Short:
     a, b = below
-    if Way.UNSURE in (a.way, b.way):
+    if Influence.UNSURE in (a.influence, b.influence):
         return _UNSURE
     power = a.power + b.power
-    own, other = (a, b) if a.way >= b.way else (b, a)
+    own, other = (a, b) if a.influence >= b.influence else (b, a)
     if power > 0:
-        return _gone(power, min(own.way, Way.GONE), op if own.way >= Way.SAME else own.by)
-    if own.way is Way.NONE:
+        return _vanishing(power, min(own.influence, Influence.VANISHING), op if own.influence >= Influence.SAME else own.by)
+    if own.influence is Influence.NONE:
         to = a.to * b.to if a.to is not None and b.to is not None and power == 0 else None
         return Short(power=power, to=to, off=min(a.off, b.off))
-    if own.way >= Way.SAME and other.way is Way.NONE and _near(other.to, 1):
-        return _kept(own, other.off, op)
+    if own.influence >= Influence.SAME and other.influence is Influence.NONE and _near(other.to, 1):
+        return _with_offset(own, other.off, op)
     return replace(_changed(op, below), power=power)
 
 
 def _quotient(op: Op, below: Below) -> Short:
     a, b = below
-    if b.way > Way.GONE:
-        return _product(op, (a, b if b.way is Way.UNSURE else _changed(op, (b,))))
+    if b.influence > Influence.VANISHING:
+        return _product(op, (a, b if b.influence is Influence.UNSURE else _changed(op, (b,))))
     if b.power == math.inf:
         return _UNSURE
-    return _product(op, (a, Short(b.way, -b.power, 1 / b.to if b.to else None, b.off if b.to else math.inf, by=b.by)))
+    return _product(op, (a, Short(b.influence, -b.power, 1 / b.to if b.to else None, b.off if b.to else math.inf, by=b.by)))
 
 
 def _negative(op: Op, below: Below) -> Short:
     a = below[0]
-    if a.way is Way.UNSURE or a.way <= Way.GONE:
+    if a.influence is Influence.UNSURE or a.influence <= Influence.VANISHING:
         return replace(a, to=None if a.to is None else -a.to)
     return _changed(op, below)
 
@@ -255,10 +257,10 @@ def _root(op: Op, below: Below) -> Short:
 
 def _raised(op: Op, below: Below) -> Short:
     a, b = below
-    if Way.UNSURE in (a.way, b.way) or b.way is Way.GONE:
+    if Influence.UNSURE in (a.influence, b.influence) or b.influence is Influence.VANISHING:
         return _UNSURE
-    if b.way > Way.GONE or a.way > Way.GONE:
-        if a.way is Way.SAME and _near(b.to, 1):
+    if b.influence > Influence.VANISHING or a.influence > Influence.VANISHING:
+        if a.influence is Influence.SAME and _near(b.to, 1):
             return a if b.off == math.inf else _UNSURE
         return _UNSURE if b.timed else _changed(op, below)
     if b.to is None:
@@ -266,85 +268,85 @@ def _raised(op: Op, below: Below) -> Short:
     if b.vanishes:
         return Short(to=1.0, off=b.off) if a.power == 0 else _UNSURE
     if a.power and not b.timed:
-        return _gone(a.power * b.to, a.way, a.by) if a.power * b.to > 0 else Short(power=a.power * b.to)
+        return _vanishing(a.power * b.to, a.influence, a.by) if a.power * b.to > 0 else Short(power=a.power * b.to)
     return Short(to=None if a.to is None else _worth(lambda x: x ** (b.to or 0.0), a.to), off=min(a.off, b.off))
 
 
 def _worth(function: Callable[[float], float], at: float) -> float | None:
     try:
-        found = function(at)
+        result = function(at)
     except (ValueError, OverflowError, ZeroDivisionError):
         return None
-    return found if isinstance(found, float) and math.isfinite(found) else None
+    return result if isinstance(result, float) and math.isfinite(result) else None
 
 
 def _function(function: Callable[[float], float]) -> Callable[[Op, Below], Short]:
     def rule(op: Op, below: Below) -> Short:
         a = below[0]
-        if a.way > Way.GONE:
-            return _UNSURE if a.way is Way.UNSURE else _changed(op, below)
+        if a.influence > Influence.VANISHING:
+            return _UNSURE if a.influence is Influence.UNSURE else _changed(op, below)
         if a.power < 0:
             return _UNSURE
         to = None if a.to is None else _worth(function, a.to)
-        return _gone(a.off, a.way, a.by) if _near(to, 0) else Short(to=to, off=a.off)
+        return _vanishing(a.off, a.influence, a.by) if _near(to, 0) else Short(to=to, off=a.off)
 
     return rule
 
 
 def _mixed(op: Op, below: Below) -> Short:
     a, b, share = below
-    if share.way is Way.UNSURE:
+    if share.influence is Influence.UNSURE:
         return _UNSURE
     for side, end in ((a, 0), (b, 1)):
-        if share.way <= Way.GONE and _near(share.to, end):
-            if side.way is Way.NONE:
+        if share.influence <= Influence.VANISHING and _near(share.to, end):
+            if side.influence is Influence.NONE:
                 return replace(side, off=min(side.off, share.off), power=min(side.power, share.off) if side.power else 0.0)
-            return _kept(side, share.off, op)
-    return _together(op, below[:2]) if share.way is Way.NONE else _changed(op, below)
+            return _with_offset(side, share.off, op)
+    return _together(op, below[:2]) if share.influence is Influence.NONE else _changed(op, below)
 
 
 def _turned(op: Op, below: Below) -> Short:
     own, by = below[0], below[-1]
     if not by.vanishes:
         return _together(op, below)
-    return _kept(own, by.power, op) if own.way >= Way.SAME else own
+    return _with_offset(own, by.power, op) if own.influence >= Influence.SAME else own
 
 
 def _together(op: Expr, below: Below) -> Short:
     """Made of several, as a vector of its numbers and a draw between two ends: it vanishes where all of them do."""
-    way = _way(below)
-    if way >= Way.SAME:
-        return _UNSURE if way is Way.UNSURE else _changed(op, below)
+    influence = _strongest_influence(below)
+    if influence >= Influence.SAME:
+        return _UNSURE if influence is Influence.UNSURE else _changed(op, below)
     if below and all(each.vanishes for each in below):
-        return _gone(min(each.power for each in below), way, next((each.by for each in below if each.by), None))
+        return _vanishing(min(each.power for each in below), influence, next((each.by for each in below if each.by), None))
     return Short(power=min([0.0, *(each.power for each in below)]), off=min((each.off for each in below), default=math.inf))
 
 
 def _of_the_first(op: Op, below: Below) -> Short:
     """Analyse a length or a component of a vector: it vanishes if the vector does."""
     a = below[0]
-    return a if a.way <= Way.GONE else _as_it_is(op, below) if op.name != "length" else _together(op, below[:1])
+    return a if a.influence <= Influence.VANISHING else _as_it_is(op, below) if op.name != "length" else _together(op, below[:1])
 
 
 def _as_it_is(op: Op, below: Below) -> Short:
-    way = _way(below)
-    if way is Way.CHANGED:
-        return replace(next(each for each in below if each.way is way), makers=_first(below))
-    if way is Way.SAME:
-        return min((each for each in below if each.way is way), key=lambda each: each.off)
+    influence = _strongest_influence(below)
+    if influence is Influence.CHANGED:
+        return replace(next(each for each in below if each.influence is influence), makers=_first(below))
+    if influence is Influence.SAME:
+        return min((each for each in below if each.influence is influence), key=lambda each: each.off)
     return _other(op, below)
 
 
 def _bounded(op: Op, below: Below) -> Short:
     """Analyse `min`, `max` and `clamp`: for known numbers, the result is known."""
     tos = [each.to for each in below if each.to is not None]
-    if _way(below) > Way.GONE or len(tos) < len(below):
+    if _strongest_influence(below) > Influence.VANISHING or len(tos) < len(below):
         return _as_it_is(op, below)
     to = min(max(tos[0], tos[1]), tos[2]) if op.name == "clamp" else min(tos) if op.name == "min" else max(tos)
     left = [each for each in below if each.to == to]
     off = min(each.off for each in left)
     by = next((each.by for each in left if each.by), None)
-    return _gone(off, _way(left), by) if _near(to, 0) else Short(to=to, off=off)
+    return _vanishing(off, _strongest_influence(left), by) if _near(to, 0) else Short(to=to, off=off)
 
 
 def _chosen(op: Op, below: Below, own: Own, driven: bool) -> Short:
@@ -353,29 +355,33 @@ def _chosen(op: Op, below: Below, own: Own, driven: bool) -> Short:
     test, *ends = op.args
     assert test is not None
     branches = below[1:]
-    way = _way(branches)
-    if way < Way.SAME:
+    influence = _strongest_influence(branches)
+    if influence < Influence.SAME:
         return _together(op, branches)
     back = driven and reads(test, own) and any(end is not None and is_own(end, own) for end in ends)
     if back or any(isinstance(each, Op) and each.name in _NOW_AND_THEN for each in parts(test)):
-        return Short(Way.SAME)
-    lost = [each.by for each in branches if each.way is Way.GONE and each.by is not None]
-    return Short(Way.CHANGED, makers=_first(branches, *lost)) if lost and way is not Way.UNSURE else _as_it_is(op, branches)
+        return Short(Influence.SAME)
+    lost = [each.by for each in branches if each.influence is Influence.VANISHING and each.by is not None]
+    return (
+        Short(Influence.CHANGED, makers=_first(branches, *lost))
+        if lost and influence is not Influence.UNSURE
+        else _as_it_is(op, branches)
+    )
 
 
-def _asked(op: Op, below: Below) -> Short:
+def _query(op: Op, below: Below) -> Short:
     return Short()  # an answer; what is done by it is seen where it is used
 
 
 def _run(op: Op, below: Below) -> Short:
-    return _gone(1.0) if _is_dt(op) else Short()
+    return _vanishing(1.0) if _is_dt(op) else Short()
 
 
 def _other(op: Op, below: Below) -> Short:
-    way = _way(below)
-    if way is Way.UNSURE or any(each.timed for each in below):
+    influence = _strongest_influence(below)
+    if influence is Influence.UNSURE or any(each.timed for each in below):
         return _UNSURE
-    return _changed(op, below) if way >= Way.SAME else Short()
+    return _changed(op, below) if influence >= Influence.SAME else Short()
 
 
 _RULES: dict[str, Callable[[Op, Below], Short]] = {
@@ -386,5 +392,5 @@ _RULES: dict[str, Callable[[Op, Below], Short]] = {
     "abs": _of_the_first, "limit": _of_the_first, "project": _of_the_first, "length": _of_the_first,
     **dict.fromkeys(("first", "floor", "unit", "and", "or"), _as_it_is),
     **dict.fromkeys(("vector", "uniform", "normal", "pick"), _together),
-    **dict.fromkeys(_ASKED, _asked),
+    **dict.fromkeys(_QUERIES, _query),
 }  # fmt: skip

@@ -17,7 +17,7 @@ from antdsl.program.tables.effects import EFFECTS
 from antdsl.runtime.backends.compile import Instruction
 from antdsl.runtime.backends.native.block import BlockWriter
 from antdsl.runtime.backends.native.senses import fetch_ahead
-from antdsl.runtime.requests import Asked, ClaimEntry, Effects, GiveEntry
+from antdsl.runtime.requests import ClaimEntry, Effects, GiveEntry, RequestEntry
 
 
 def _deposit(b: BlockWriter, each: Instruction, what: ir.Request) -> None:
@@ -28,7 +28,7 @@ def _deposit(b: BlockWriter, each: Instruction, what: ir.Request) -> None:
     cell = e.read(b.base("cell", name), b.row, I32)
     laid = mask & (cell >= 0) & (amount != 0)
     fetch_ahead(b, name, b.base("field", name, "pending"), 8)
-    with e.inside(e.some(laid)):
+    with e.inside(e.any_lane(laid)):
         wide = e.between(e.convert(amount, F64), e.constant(-LARGEST_DEPOSIT, F64), e.constant(LARGEST_DEPOSIT, F64))
         amounts, cells = e.slot(I64, WIDTH), e.slot(I32, WIDTH)
         e.put(amounts, e.rounded_bits(wide / UNIT))
@@ -36,15 +36,15 @@ def _deposit(b: BlockWriter, each: Instruction, what: ir.Request) -> None:
         bits = e.mask_word(laid)
         pending = b.base("field", name, "pending")
         with e.loop(WIDTH) as lane, e.inside(e.has_bit(bits, lane)):
-            at, more = e.read_one(cells, lane, I32), e.read_one(amounts, lane, I64)
+            at, increment = e.read_one(cells, lane, I32), e.read_one(amounts, lane, I64)
             place = e.address(pending, e.convert(at, I64), I64)
             adds = b.combine(name) == "add"
             together = b.number(I64, "threads", one=True)
             with e.inside(together > 1):
-                e.op("atomic.add" if adds else "atomic.max", I64, place, more)
+                e.op("atomic.add" if adds else "atomic.max", I64, place, increment)
             with e.inside(together <= 1):
-                before = e.load(place, I64)
-                e.put(place, before + more if adds else e.where(more > before, more, before))
+                old_value = e.load(place, I64)
+                e.put(place, old_value + increment if adds else e.where(increment > old_value, increment, old_value))
         e.put(b.base("laid", name), e.constant(1, I8, 1))
 
 
@@ -52,28 +52,28 @@ def _write_down(b: BlockWriter, each: Instruction, mask: Lanes, values: list[Lan
     """Append the rows of those of eight agents with a true condition to a statement's list, and a value of each beside."""
     e, number = b.e, len(b.code.lists)
     b.code.lists.append(each)
-    with e.inside(e.some(mask)):
+    with e.inside(e.any_lane(mask)):
         stored = [e.as_stored(value) for value in values]
         columns = [b.array(-1 - number, part, kind) for part, kind in enumerate((I64, *(value.kind for value in values)))]
-        places = []
+        slots = []
         for value in stored:
-            places.append(e.slot(value.kind, WIDTH))
-            e.put(places[-1], value)
+            slots.append(e.slot(value.kind, WIDTH))
+            e.put(slots[-1], value)
         left = e.slot(I64)
         bits = e.mask_word(mask)
         e.put(left, bits)
         total = e.address(b.base("counts"), 1 + number, I64)
-        before = e.load(total, I64)
-        more = e.op("ctpop", I64, bits)
-        with e.loop(more) as k:
+        old_total = e.load(total, I64)
+        count = e.op("ctpop", I64, bits)
+        with e.loop(count) as k:
             rest = e.load(left, I64)
             lane = e.op("cttz", I64, rest)
             e.put(left, rest & (rest - 1))
-            at = before + k
+            at = old_total + k
             e.put(e.address(columns[0], at, I64), b.row + lane)
-            for column, place, value in zip(columns[1:], places, stored, strict=True):
+            for column, place, value in zip(columns[1:], slots, stored, strict=True):
                 e.put(e.address(column, at, value.kind), e.read_one(place, lane, value.kind))
-        e.put(total, before + more)
+        e.put(total, old_total + count)
 
 
 def _sound(b: BlockWriter, mask: Lanes, amount: Lanes, what: str, span: Any) -> Lanes:
@@ -118,13 +118,13 @@ def _give(b: BlockWriter, each: Instruction, what: ir.Give) -> None:
     if what.amount is not None:
         amount = b.slot(each.inputs[1])
         mask = _sound(b, mask, amount, f"give {what.own}", what.span)
-    there = mask & (item >= 0) & (item < b.number(I32, "items", what.items))
+    is_valid = mask & (item >= 0) & (item < b.number(I32, "items", what.items))
     zero = e.constant(0.0, F32)
     most = e.where(had > zero, had, zero)
     cut = e.where(amount > zero, amount, zero)
     left = had - e.where(cut < most, cut, most) + zero
-    e.write_where(there, own, b.row, left)
-    _write_down(b, each, there, [item, e.convert(had, F64) - e.convert(left, F64)])
+    e.write_where(is_valid, own, b.row, left)
+    _write_down(b, each, is_valid, [item, e.convert(had, F64) - e.convert(left, F64)])
 
 
 def ask(b: BlockWriter, each: Instruction) -> None:
@@ -140,7 +140,7 @@ def ask(b: BlockWriter, each: Instruction) -> None:
             _give(b, each, what)
 
 
-def asked(each: Instruction, columns: Sequence[NDArray[Any]], effects: Effects) -> None:
+def record_request(each: Instruction, columns: Sequence[NDArray[Any]], effects: Effects) -> None:
     """Add the contents of a statement's list to the effects of a step: rows, then the values stored with them."""
     what = each.what
     match what:
@@ -153,4 +153,4 @@ def asked(each: Instruction, columns: Sequence[NDArray[Any]], effects: Effects) 
         case ir.Request():
             rest = iter(columns[1:])
             args = tuple(None if node is None else next(rest) for node in what.args)
-            effects.ask(Asked(what, each.order, columns[0], args))
+            effects.ask(RequestEntry(what, each.order, columns[0], args))

@@ -58,8 +58,8 @@ class NativeBackend(NumpyBackend):
         """Time lines from the next step on, or stop timing. Timing needs separate code; NumPy runs until it is ready."""
         if on != self._timed:
             self._timed = on
-            here = (self.ready, self._coming, self._running)
-            (self.ready, self._coming, self._running), self._aside = self._aside, here
+            current = (self.ready, self._coming, self._running)
+            (self.ready, self._coming, self._running), self._aside = self._aside, current
         super().measure(on)
 
     def begin(self, world: World) -> None:
@@ -74,10 +74,10 @@ class NativeBackend(NumpyBackend):
         self._grids.forget()
         super().begin(world)
 
-    def told(self) -> list[str]:
+    def messages(self) -> list[str]:
         """Return messages for the user on what differs from the request; none of it changes a result."""
-        found = [] if self._without is None else [self._without]
-        return found + codes.told()
+        sentences = [] if self._without is None else [self._without]
+        return sentences + codes.messages()
 
     def have_code(self, world: World) -> None:
         """Wait until the steps from now on run as machine code, or cannot."""
@@ -87,8 +87,8 @@ class NativeBackend(NumpyBackend):
         """Return the number of LLVM instructions of each function, compiled for a generic processor."""
         if self.ready is None:
             return {}
-        made = program(self._plan, self.blocks, self.ready.facts, machine.ANY)
-        return {f"instructions {name}": number for name, number in listing.counts(made).items()}
+        native_program = program(self._plan, self.blocks, self.ready.facts, machine.ANY)
+        return {f"instructions {name}": number for name, number in listing.counts(native_program).items()}
 
     def _look_for_code(self, world: World, waits: bool) -> None:
         """Have code made once steps will pay for it, unless it exists: after the first step, which a caller waits for."""
@@ -98,8 +98,8 @@ class NativeBackend(NumpyBackend):
             return  # elsewhere a program may not be allowed to read the counter
         facts = Facts.of(world.setting, timed=self._timed)
         ready = known(world.plan, facts)
-        wanted = waits or (self._begun and (len(world) >= _MANY or sum(world.worked.values()) >= _LOADING))
-        if ready is None and self._coming is None and wanted:
+        is_due = waits or (self._begun and (len(world) >= _MANY or sum(world.worked.values()) >= _LOADING))
+        if ready is None and self._coming is None and is_due:
             self._coming = beside(world.plan, self.blocks, facts)
         if self._coming is not None and (waits or self._coming.done()):
             try:
@@ -145,8 +145,8 @@ class NativeBackend(NumpyBackend):
         """A block's machine code, made ready to run; None where it has none."""
         if self.ready is None or (species, block) not in self.ready.program.blocks:
             return None
-        found = self._running[species, block] = Block(self.ready, species, block, self._rooms)
-        return found
+        native_block = self._running[species, block] = Block(self.ready, species, block, self._rooms)
+        return native_block
 
     def _cells(self, world: World, population: Population, block: str, near: Near, number: int) -> Arrays:
         """Return the cells for a search. They suit the greatest radius of the previous step, or at first the result of
@@ -164,16 +164,16 @@ def _guessed(world: World, population: Population, other: Population, radii: lis
     """Return the greatest radius (mm) of a search, sampled from some agents with the reference. A radius that itself searches
     agents would take too long; a radius that contains about `_CELL` of the others replaces it."""
     cheap = [radius for radius in radii if not any(each.op in ("set.agents", "set.every") for each in needed([radius]))]
-    found = [0.0] if len(cheap) == len(radii) else [_spacing(other)]
+    lengths = [0.0] if len(cheap) == len(radii) else [_spacing(other)]
     for row in np.linspace(0, len(population) - 1, min(_SAMPLED, len(population))).astype(int) if cheap else ():
         agent = Agent(world, population, int(row), population.now, int(row), Effects(), {})
-        found += [float(agent.value(radius)) for radius in cheap]
-    return max((each for each in found if np.isfinite(each)), default=0.0)
+        lengths += [float(agent.value(radius)) for radius in cheap]
+    return max((each for each in lengths if np.isfinite(each)), default=0.0)
 
 
 def _spacing(population: Population) -> float:
     """The edge (mm) of a cell that holds about `_CELL` agents, whether they lie on a line, a sheet or in a space."""
-    places = (population.start[f"position.{axis}"] for axis in AXES)
-    extents = sorted((float(np.ptp(finite)) for place in places if len(finite := place[np.isfinite(place)])), reverse=True)
+    columns = (population.start[f"position.{axis}"] for axis in AXES)
+    extents = sorted((float(np.ptp(finite)) for place in columns if len(finite := place[np.isfinite(place)])), reverse=True)
     share = _CELL / max(len(population), 1)
     return max((float(np.prod(extents[:k]) * share) ** (1 / k) for k in range(1, len(extents) + 1)), default=0.0)

@@ -55,10 +55,10 @@ class Writer:
             place = self.e.address(self.base("numbers"), self.layout.number(*key), I64)
             return self.e.read_one(place, 0, kind)
 
-        single: Lanes = self.e.once(("number", kind, *key), make)
+        single: Lanes = self.e.get_or_make(("number", kind, *key), make)
         if one:
             return single
-        lanes: Lanes = self.e.once(("numbers", kind, *key), lambda: self.e.widened(single))
+        lanes: Lanes = self.e.get_or_make(("numbers", kind, *key), lambda: self.e.widened(single))
         return lanes
 
     def apply(self, op: str, *args: Lanes) -> Any:
@@ -95,7 +95,7 @@ class BlockCode:
     lines: Lines | None = None  # of code that is timed by line
     faults: list[tuple[str, Any]] = field(default_factory=list)  # of rejected values: what, and where in the text
     near: list[Near] = field(default_factory=list)
-    kept: list[ir.Node] = field(default_factory=list)
+    lazy_nodes: list[ir.Node] = field(default_factory=list)
     bounds: dict[int, ir.Node] = field(default_factory=dict)  # `scents.bounds`
     lists: list[Instruction] = field(default_factory=list)  # statements with lists of requesting rows, from slot -1 downward
     needs: list[Instruction] = field(default_factory=list)  # calls with a note whether an agent needs them
@@ -188,9 +188,9 @@ class BlockWriter(Writer):
 
     @contextmanager
     def _timed(self, counter: int) -> Iterator[None]:
-        before, self.e.line = self.e.line, counter
+        previous_line, self.e.line = self.e.line, counter
         yield
-        self.e.line = before
+        self.e.line = previous_line
 
     def _scope(self, scope: Scope) -> None:
         for each in scope.code:
@@ -238,7 +238,7 @@ class BlockWriter(Writer):
         if not self.schedule.has(inner, self.stage):
             return
         mask = self._mask(inner, lambda: self.mask[-1] & self.slot(each.inputs[0]))
-        with self.e.inside(self.e.some(mask)):
+        with self.e.inside(self.e.any_lane(mask)):
             self.mask.append(mask)
             self._scope(inner)
             self.mask.pop()
@@ -263,9 +263,9 @@ class BlockWriter(Writer):
             return
         if not self.schedule.has(inner, self.stage):
             return
-        if node not in self.code.kept:
-            self.code.kept.append(node)
-        e, number = self.e, self.code.kept.index(node)
+        if node not in self.code.lazy_nodes:
+            self.code.lazy_nodes.append(node)
+        e, number = self.e, self.code.lazy_nodes.index(node)
         has = self.base("kept", number, "has")
 
         def missing() -> Lanes:
@@ -273,12 +273,12 @@ class BlockWriter(Writer):
             return asks & reached(self, node, self.code.bounds[each.out]) if each.out in self.code.bounds else asks
 
         mask = self._mask(inner, missing)
-        with e.inside(e.some(mask)):
+        with e.inside(e.any_lane(mask)):
             self.mask.append(mask)
             self._scope(inner)
             if self.schedule.at[each] == self.stage:
-                found = self.slot(each.result)
-                for part, value in enumerate(found if isinstance(found, tuple) else (found,)):
+                result = self.slot(each.result)
+                for part, value in enumerate(result if isinstance(result, tuple) else (result,)):
                     e.write_where(mask, self.base("kept", number, part), self.row, value)
                 e.write_where(mask, has, self.row, e.constant(True, BOOL))
             self.mask.pop()
@@ -293,11 +293,11 @@ class BlockWriter(Writer):
         if slot in self._uniform:
             node = self._uniform[slot]
             return self.number(KINDS[node.kind], "node", node)
-        return self.e.once(slot, lambda: self._made(slot))
+        return self.e.get_or_make(slot, lambda: self._compute(slot))
 
-    def _made(self, slot: int) -> Any:
+    def _compute(self, slot: int) -> Any:
         if slot in self._kept:
-            number, kinds = self.code.kept.index(self._kept[slot]), self._kinds[slot]
+            number, kinds = self.code.lazy_nodes.index(self._kept[slot]), self._kinds[slot]
             parts = tuple(self.e.read(self.base("kept", number, k), self.row, kind) for k, kind in enumerate(kinds))
             if slot in self.code.bounds:
                 parts = (strength(self, self._kept[slot], self.code.bounds[slot], parts[0]), *parts[1:])
@@ -305,8 +305,8 @@ class BlockWriter(Writer):
             return parts if len(parts) > 1 else parts[0]
         each = self._makers.get(slot)
         node = None if each is None else each.what
-        anew = isinstance(node, ir.Node) and node.op in ("snap", "id") and slot not in self.schedule.left
-        if each is None or each not in self.schedule.native or (self.schedule.home[slot] != self.stage and not anew):
+        is_recomputed = isinstance(node, ir.Node) and node.op in ("snap", "id") and slot not in self.schedule.left
+        if each is None or each not in self.schedule.native or (self.schedule.home[slot] != self.stage and not is_recomputed):
             parts = tuple(self.e.read(self.array(slot, k, kind), self.offset, kind) for k, kind in enumerate(self._kinds[slot]))
             return parts if len(parts) > 1 else parts[0]
         with self._line(each):
@@ -336,7 +336,7 @@ class BlockWriter(Writer):
         """Return other reductions over the same species or items that one search can compute with `first`: they do not depend on
         its result. Those over agents may be in other scopes."""
         assert isinstance(first.what, ir.Node)
-        found, of = [], first.what.args[0]
+        reductions, of = [], first.what.args[0]
         for each in self._reductions:
             node = each.what
             if each is first or not isinstance(node, ir.Node) or node.args[0].op != of.op or node.args[0].attrs[0] != of.attrs[0]:
@@ -346,8 +346,8 @@ class BlockWriter(Writer):
             if each.scope is not first.scope and of.op != "set.agents":
                 continue
             if all(self._ready(slot) for slot in operands_of(each)):
-                found.append(each)
-        return found
+                reductions.append(each)
+        return reductions
 
     def _ready(self, slot: int) -> bool:
         """Whether a value is known or can be made at once: by operations alone, with no reduction or changing register in it."""
@@ -384,12 +384,12 @@ class BlockWriter(Writer):
         """Note the rows with a value that is not finite: first of the eight, then the number of the rejected value above their
         bits."""
         e, faults = self.e, self.code.faults
-        with e.inside(e.some(bad)):
+        with e.inside(e.any_lane(bad)):
             faults.append((what, span))  # one for each place that notes: there is room for one of each by eight rows
             notes = self.base("notes")
             count = e.read_one(notes, 0, I64)
             first = e.address(notes, count * 2, I64)
-            told = e.mask_word(bad) | ((len(faults) - 1) << WIDTH)
-            for k, value in enumerate((self.row, told)):
+            note_word = e.mask_word(bad) | ((len(faults) - 1) << WIDTH)
+            for k, value in enumerate((self.row, note_word)):
                 e.put(e.address(first, k + 1, I64), value)
             e.put(notes, count + 1)

@@ -18,7 +18,7 @@ class Cells:
 
     def __init__(self, w: Writer, number: int) -> None:
         e = w.e
-        floats, whole = w.base("grid", number, "floats"), w.base("grid", number, "whole")
+        floats, integers = w.base("grid", number, "floats"), w.base("grid", number, "whole")
 
         def read(base: Lanes, k: int, kind: str) -> Lanes:
             return e.read_one(base, k, kind)
@@ -27,11 +27,11 @@ class Cells:
         self.low = [e.widened(read(floats, k, F64)) for k in range(3)]
         self.width = [e.widened(read(floats, 3 + k, F64)) for k in range(3)]
         self.inverse = [e.widened(read(floats, 6 + k, F64)) for k in range(3)]
-        self.axes = [read(whole, k, I64) for k in range(3)]
-        self.size = [e.widened(read(whole, 3 + k, I64)) for k in range(3)]
+        self.axes = [read(integers, k, I64) for k in range(3)]
+        self.size = [e.widened(read(integers, 3 + k, I64)) for k in range(3)]
         self.most = [e.convert(e.convert(size, I32), F64) for size in self.size]
-        self.flat = e.widened(read(whole, 5, I64) == 1)
-        self.count = read(whole, 6, I64)
+        self.flat = e.widened(read(integers, 5, I64) == 1)
+        self.count = read(integers, 6, I64)
 
     def span(self, axis: int, q: Lanes, half: Lanes) -> tuple[Lanes, Lanes]:
         """First and last cell along an axis that [q - half, q + half] meets, i32; the last is below the first where none."""
@@ -39,7 +39,7 @@ class Cells:
         most = self.most[axis]
         first = e.between((q - half - self.low[axis]) * self.inverse[axis], e.constant(0.0, F64), most)
         last = e.between((q + half - self.low[axis]) * self.inverse[axis], e.constant(-1.0, F64), most - 1.0)
-        return e.whole(np.floor(first)), e.whole(np.floor(last))
+        return e.to_int32(np.floor(first)), e.to_int32(np.floor(last))
 
     def between(self, z: Lanes, y: Lanes, first: Lanes, last: Lanes, within: Lanes) -> tuple[Lanes, Lanes]:
         """Return where a row of cells starts in the grid's order, from one cell to another, and its number of agents, i32. Both
@@ -75,11 +75,11 @@ class Cells:
         f.put(high, f.widened(count))
         with f.loop(32):
             a, b = f.load(low, I64, WIDTH), f.load(high, I64, WIDTH)
-            middle, more = (a + b) >> 1, a < b
-            probe = f.gather(sorted_keys, f.where(more, middle, f.constant(0, I64)), I64)
-            less = more & (probe < key)
-            f.put(low, f.where(less, middle + 1, a))
-            f.put(high, f.where(more & ~less, middle, b))
+            middle, is_open = (a + b) >> 1, a < b
+            probe = f.gather(sorted_keys, f.where(is_open, middle, f.constant(0, I64)), I64)
+            is_below = is_open & (probe < key)
+            f.put(low, f.where(is_below, middle + 1, a))
+            f.put(high, f.where(is_open & ~is_below, middle, b))
         f.end(name, (sorted_keys, count, key), f.load(low, I64, WIDTH), attribute="noinline")
         return name
 
@@ -97,7 +97,7 @@ class Rows:
         for each in place:
             usable = usable & np.isfinite(each)
         self.widest, self.usable = widest, usable
-        self.stack = stack = e.room(3, text_type(F32, WIDTH))
+        self.stack = stack = e.allocate(3, text_type(F32, WIDTH))
         for k, each in enumerate(place):
             e.put(e.field(stack, 32 * k), each)
         along = []
@@ -125,20 +125,20 @@ class Rows:
         self._deep, self._tall = e.slot(I32), e.slot(I32)
         for slot in (self._deep, self._tall):
             e.put(slot, e.constant(0, I32, 1))
-        deep, self._most = (
+        depth, self._most = (
             e.greatest(e.where(self.usable, z - a, nothing) + 1) for a, z in ((self.c0, self.c1), (self.b0, self.b1))
         )
-        return e.convert(deep * self._most, I64)
+        return e.convert(depth * self._most, I64)
 
     def following(self) -> tuple[Lanes, Lanes]:
         """The next row of cells: where its agents begin in the grid's order, and how many may be in reach, i32."""
         e = self.e
-        deep, tall = e.load(self._deep, I32), e.load(self._tall, I32)
-        cz, cy = self.c0 + deep, self.b0 + tall
+        depth, tall = e.load(self._deep, I32), e.load(self._tall, I32)
+        cz, cy = self.c0 + depth, self.b0 + tall
         next_one = tall + 1
         over = next_one >= self._most
         e.put(self._tall, e.where(over, 0, next_one))
-        e.put(self._deep, deep + e.convert(over, I32))
+        e.put(self._deep, depth + e.convert(over, I32))
         within = self.usable & (cy <= self.b1) & (cz <= self.c1) & (self.a0 <= self.a1)
         return self.cells.between(cz, cy, self.a0, self.a1, within)
 

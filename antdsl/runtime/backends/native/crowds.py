@@ -18,7 +18,7 @@ from antdsl.machine_code.lanes import Lanes
 from antdsl.plan import ir
 from antdsl.runtime.backends.native.block import BlockWriter, Writer
 from antdsl.runtime.backends.native.cells import BEYOND, Rows, write_down
-from antdsl.runtime.backends.native.near import STRIDE, Found, Search, measured
+from antdsl.runtime.backends.native.near import STRIDE, NearPairs, Search, measured
 from antdsl.runtime.backends.native.sets import PairValues, take
 from antdsl.runtime.backends.native.sums import NO_LABEL, Sum
 from antdsl.runtime.world import AXES
@@ -40,7 +40,7 @@ def write_many(b: BlockWriter, near: Search) -> None:
         def put(k: int, value: Lanes) -> None:
             e.put(e.address(e.field(out, STRIDE * k), lane, value.kind), value)
 
-        own = {node: e.widened(mine(k)) for node, k in near.places.items()}
+        own = {node: e.widened(mine(k)) for node, k in near.operand_slots.items()}
         place = [e.widened(e.read_one(w.base("start", f"position.{axis}"), row, F32)) for axis in AXES]
         radius = {chosen: e.widened(mine(k)) for chosen, k in near.reach.items()}
         crowd = _Crowd(w, near, place, e.widened(e.convert(row, I32)) if near.other == b.species else None)
@@ -53,20 +53,20 @@ def write_many(b: BlockWriter, near: Search) -> None:
         for each in sums:
             each.start()
         with e.loop(e.load(crowd.total, I64), WIDTH) as at:
-            found = crowd.at(at)
+            others = crowd.at(at)
 
             def inside(chosen: ir.Node) -> Lanes:
-                reached = found.there & (found.distance <= radius[chosen])
+                reached = others.is_present & (others.distance <= radius[chosen])
                 if chosen in near.view:
                     hx, hy, hz = heading
-                    ahead = (found.dx * hx + found.dy * hy) + found.dz * hz
-                    reached = reached & (ahead >= mine(near.view[chosen]) * found.distance)
+                    ahead = (others.dx * hx + others.dy * hy) + others.dz * hz
+                    reached = reached & (ahead >= mine(near.view[chosen]) * others.distance)
                 return reached
 
-            pairs = PairValues(w, lambda node: own[node], found.leaf, b.senses)
+            pairs = PairValues(w, lambda node: own[node], others.leaf, b.senses)
             for each, node in zip(sums, near.nodes, strict=True):
-                reached = e.once(("near", node.args[0]), lambda chosen=node.args[0]: inside(chosen))  # type: ignore[misc]
-                take(each, node, pairs, reached, found.ids)
+                reached = e.get_or_make(("near", node.args[0]), lambda chosen=node.args[0]: inside(chosen))  # type: ignore[misc]
+                take(each, node, pairs, reached, others.ids)
         for k, each in enumerate(sums):
             each.fold()
             put(k, e.one(e.as_stored(each.result()), 0))
@@ -100,30 +100,30 @@ class _Crowd:
             begin, count = (e.convert(e.one(each, 0), I64) for each in row)
             with e.loop(count, WIDTH) as k:
                 at = begin + k
-                there = k + e.iota() < count
+                is_present = k + e.iota() < count
                 dx, dy, dz = (e.read(column, at, F32) - own for column, own in zip(columns, self.place, strict=True))
                 square = (dx * dx + dy * dy) + dz * dz
                 numbers = e.convert(at, I32) + e.convert(e.iota(), I32)
-                write_down(e, self.buffer, self.total, numbers, there & (square <= limit))
+                write_down(e, self.buffer, self.total, numbers, is_present & (square <= limit))
         count = e.load(self.total, I64)
         self._end(count)
         self.keys = e.address(self.buffer, count + WIDTH, I32)
         with e.loop(count, WIDTH) as index:
-            found = self.at(index)
-            within = found.there & (found.distance <= search.widest)
+            others = self.at(index)
+            within = others.is_present & (others.distance <= search.widest)
             if self.itself is not None:
-                within = within & (found.rows != self.itself)
-            e.write(self.keys, index, e.where(within, e.bits(found.distance, I32), e.constant(_NONE, I32)))
+                within = within & (others.rows != self.itself)
+            e.write(self.keys, index, e.where(within, e.bits(others.distance, I32), e.constant(_NONE, I32)))
 
     def _end(self, count: Lanes) -> None:
         self.w.e.write(self.buffer, count, self.w.e.constant(0, I32))
 
-    def at(self, index: Lanes) -> Found:
+    def at(self, index: Lanes) -> NearPairs:
         """Return eight of the listed others, from an index on."""
         e = self.w.e
-        there = index + e.iota() < e.load(self.total, I64)
-        at = e.where(there, e.read(self.buffer, index, I32), e.constant(0, I32))
-        return measured(self.w, self.near, at, self.place, there)
+        is_present = index + e.iota() < e.load(self.total, I64)
+        at = e.where(is_present, e.read(self.buffer, index, I32), e.constant(0, I32))
+        return measured(self.w, self.near, at, self.place, is_present)
 
     def _count(self, test: Callable[[Lanes, Lanes], Lanes]) -> Lanes:
         """Return how many of the others pass a test. Its input is an index and the eight keys from there on."""

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from antdsl.machine_code.kinds import WIDTH
 from antdsl.numerics import parallel
 from antdsl.runtime.world import AXES, Population, World
-from antdsl.senses.cell_order import CellOrder, Places, Shape, box_around, in_order
+from antdsl.senses.cell_order import CellOrder, Positions, Shape, box_around, in_order
 
 _AGAIN = 64  # steps after which a crowd gets new cells and the sheet test is repeated
 _SPARE = 1 / 32  # of its extent, that a box goes on for beyond a crowd
@@ -22,7 +22,7 @@ _FEW = 128  # agents; among fewer the cells of an agent are no fewer to go throu
 _UNUSED = 16  # steps after which the arrays of an unused cell size are released
 _COARSER = 2  # quarters of an octave: finding others in cells that much wider costs less than sorting them again
 _CELLS = 4  # for each agent, above which wider ones cost less
-_WHOLE = 1e300  # mm: the width of a cell that has all places in it
+_UNBOUNDED_WIDTH = 1e300  # mm: the width of a cell that has all places in it
 
 Arrays = Mapping[str, NDArray[Any] | None]
 Registers = Sequence[tuple[str, list[NDArray[np.float32]]]]  # up to four each, by their names
@@ -92,13 +92,13 @@ class Grids:
         """Return the arrays for a search, with cells that suit a radius; `beside`: registers in the order of the cells."""
         size = float(ceil(4 * log2(cell))) if len(other) > _FEW and cell < inf else inf
         for wider in range(_COARSER + 1):
-            found = self._found.get((other.name, size + wider))
-            if found is not None:
+            grid = self._found.get((other.name, size + wider))
+            if grid is not None:
                 break
-        if found is None:
-            found = self._found[other.name, size] = self._sorted(world, other, size)
-        found.lay(beside, self._step)
-        return found.tables
+        if grid is None:
+            grid = self._found[other.name, size] = self._sorted(world, other, size)
+        grid.lay(beside, self._step)
+        return grid.tables
 
     def _sorted(self, world: World, other: Population, size: float) -> _Crowd:
         count, threads = len(other), world.options.threads
@@ -117,20 +117,20 @@ class Grids:
         crowd.sort(shape, (x, y, z))
         return crowd
 
-    def _shape(self, other: Population, places: Places, box: _Box, size: float) -> Shape:
+    def _shape(self, other: Population, positions: Positions, box: _Box, size: float) -> Shape:
         """Cells of a crowd in a box, one for all of very few agents."""
         if size == inf:
-            return Shape((0, 1, 2), box.low, [0.0] * 3, [_WHOLE] * 3, [1] * 3)
+            return Shape((0, 1, 2), box.low, [0.0] * 3, [_UNBOUNDED_WIDTH] * 3, [1] * 3)
         shape = Shape.of(box.low, box.high, 2.0 ** (size / 4))
-        if self._is_sheet(other, places, shape):
+        if self._is_sheet(other, positions, shape):
             shape = shape.as_sheet()
         return _coarser(shape, _CELLS * len(other))
 
-    def _is_sheet(self, other: Population, places: Places, shape: Shape) -> bool:
+    def _is_sheet(self, other: Population, positions: Positions, shape: Shape) -> bool:
         """Return whether a crowd lies in one sheet. Only speed depends on the result, so it is not computed in every step."""
         count, until, known = self._sheets.get(other.name, (-1, 0, False))
         if count != len(other) or self._step >= until:
-            known, until = shape.is_sheet(places), self._step + _AGAIN
+            known, until = shape.is_sheet(positions), self._step + _AGAIN
         self._sheets[other.name] = (len(other), until, known)
         return known and shape.extent[2] > 0
 

@@ -108,17 +108,17 @@ class Lanes:
         if rows != self._rows or parts > self._parts or others > self._others:
             self._rows, self._parts, self._others = rows, max(parts, self._parts), max(others, self._others)
             self._settle()
-        found = self.every[:parts]
-        for lane in found:
+        lanes = self.every[:parts]
+        for lane in lanes:
             lane.point(pointers)
-        return found
+        return lanes
 
     def _settle(self) -> None:
-        rows, wanted = self._rows, self._parts * self._rows + WIDTH
+        rows, length = self._rows, self._parts * self._rows + WIDTH
         self._asks.clear()
         for key, kind in self.code.layout.arrays.items():
-            if key not in self.arrays or len(self.arrays[key]) < wanted:
-                self.arrays[key] = np.zeros(wanted, DTYPES[kind])
+            if key not in self.arrays or len(self.arrays[key]) < length:
+                self.arrays[key] = np.zeros(length, DTYPES[kind])
         for k, lane in enumerate(self.every[: self._parts]):
             own = {key: array[k * rows : (k + 1) * rows + WIDTH] for key, array in self.arrays.items()}
             lane.settle(own, rows, self._others)
@@ -128,9 +128,9 @@ class Lanes:
         `uniform`: nodes with one value for all agents, by slot."""
         known = self._asks.get(each)
         if known is not None:
-            found, same = known
-            if len(found[0]) == rows and all([values[node] is value for node, value in same]):
-                return found
+            request, same = known
+            if len(request[0]) == rows and all([values[node] is value for node, value in same]):
+                return request
         slots = [self.code.schedule.slot(slot) for slot in each.inputs]
         same = [(uniform[slot], values[uniform[slot]]) for slot in slots if (slot, 0) not in self.arrays]
         operands = [
@@ -138,6 +138,6 @@ class Lanes:
         ]
         assert isinstance(each.what, ir.Node)
         results = [self.arrays[each.out, part][:rows] for part in range(len(ir.TUPLES[each.what.op]))]
-        found = (self.arrays[self.code.mask_of(each), 0][:rows], tuple(operands), tuple(results))
-        self._asks[each] = (found, same)
-        return found
+        request = (self.arrays[self.code.mask_of(each), 0][:rows], tuple(operands), tuple(results))
+        self._asks[each] = (request, same)
+        return request

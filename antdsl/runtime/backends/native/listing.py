@@ -10,7 +10,7 @@ from antdsl.plan import ir
 from antdsl.runtime.backends.native.programs import Facts, Program, program
 from antdsl.runtime.backends.numpy_backend import NumpyBackend
 
-_HEADS = ("define ", "declare ", "}", "@")
+_HEADER_PREFIXES = ("define ", "declare ", "}", "@")
 
 
 STILL = Facts(moving=False, detail=False)
@@ -21,22 +21,22 @@ def of_plan(plan: ir.Plan, target: Target, facts: Facts = STILL) -> Program:
     return program(plan, NumpyBackend(plan).blocks, facts, target)
 
 
-def counts(made: Program) -> dict[str, int]:
+def counts(native_program: Program) -> dict[str, int]:
     """Return the number of instructions of each function, as emitted."""
-    return {name: instructions(text) for name, text in made.functions.items() if text.startswith("define")}
+    return {name: instructions(text) for name, text in native_program.functions.items() if text.startswith("define")}
 
 
 def instructions(text: str) -> int:
     """Return the number of instructions of a function: its lines without labels, head and end."""
     lines = (line.strip() for line in text.splitlines())
-    return sum(1 for line in lines if line and not line.startswith(_HEADS) and not line.endswith(":"))
+    return sum(1 for line in lines if line and not line.startswith(_HEADER_PREFIXES) and not line.endswith(":"))
 
 
-def show(made: Program) -> str:
+def show(native_program: Program) -> str:
     """Readable text, the same for the same plan."""
-    size, lines, named = counts(made), [], set()
+    size, lines, named = counts(native_program), [], set()
     species = ""
-    for (name, block), code in made.blocks.items():
+    for (name, block), code in native_program.blocks.items():
         if name != species:
             lines.append(f"species {name}")
             species = name
@@ -52,13 +52,13 @@ def show(made: Program) -> str:
             lines += [f"    then NumPy: {what}{f', {count} times' if count > 1 else ''}" for what, count in called.items()]
         for search in code.near:
             lines.append(f"    searches {search.species} for {len(search.sets)} set{'s' if len(search.sets) > 1 else ''}")
-        lines += [f"    asks for {_asked(each.what)}{_place(each.what)}" for each in code.lists]
+        lines += [f"    asks for {_request_name(each.what)}{_place(each.what)}" for each in code.lists]
     shared = sorted(set(size) - named)
     lines += ["functions of all", *(f"  {name}: {size[name]:,} instructions" for name in shared)]
     return "\n".join(lines) + "\n"
 
 
-def _asked(what: ir.Node | ir.Statement) -> str:
+def _request_name(what: ir.Node | ir.Statement) -> str:
     return what.op if isinstance(what, ir.Request) else type(what).__name__.lower()
 
 

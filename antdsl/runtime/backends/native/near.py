@@ -29,20 +29,20 @@ class Search:
     kinds: list[str] = field(default_factory=list)  # of the operands
     reach: dict[ir.Node, int] = field(default_factory=dict)
     view: dict[ir.Node, int] = field(default_factory=dict)
-    places: dict[ir.Node, int] = field(default_factory=dict)
+    operand_slots: dict[ir.Node, int] = field(default_factory=dict)
     # sets for which too many neighbours are reported, and their index among the results
     stops: dict[ir.Node, int] = field(default_factory=dict)
     beside: list[str] = field(default_factory=list)  # others' registers that lie in the grid's order, up to four in a text
 
 
 @dataclass(slots=True, eq=False)
-class Found:
+class NearPairs:
     """Eight pairs: a mask of those that exist, the others' rows, the vector other minus own, and its length. `at` are their
     indices in the grid, `place` their positions."""
 
     w: Writer
     near: Search
-    there: Lanes
+    is_present: Lanes
     at: Lanes
     rows: Lanes
     place: list[Lanes]
@@ -55,7 +55,7 @@ class Found:
         def make() -> Lanes:
             return self.w.e.gather(self.w.base("other", self.near.other, "unsorted ids"), self._rows(), I64)
 
-        found: Lanes = self.w.e.once(("ids", self.rows.name), make)
+        found: Lanes = self.w.e.get_or_make(("ids", self.rows.name), make)
         return found
 
     def leaf(self, node: ir.Node) -> Lanes:
@@ -73,25 +73,25 @@ class Found:
 
     def _beside(self, names: str) -> list[Lanes]:
         e, base = self.w.e, self.w.base("grid", self.near.number, names)
-        found: list[Lanes] = e.once((names, self.rows.name), lambda: quadruples(e, base, self.at))
-        return found
+        registers: list[Lanes] = e.get_or_make((names, self.rows.name), lambda: quadruples(e, base, self.at))
+        return registers
 
     def _rows(self) -> Lanes:
         """Return the others' rows, each loaded separately. They are needed one by one as addresses, and extracting them from
         eight lanes is slow."""
-        e, places = self.w.e, self.w.base("grid", self.near.number, "places")
+        e, positions = self.w.e, self.w.base("grid", self.near.number, "places")
 
         def make() -> Lanes:
-            fours = (four_at(e, places, e.one(self.at, lane)) for lane in range(WIDTH))
+            fours = (four_at(e, positions, e.one(self.at, lane)) for lane in range(WIDTH))
             return e.together(e.load(e.field(four, 12), I32) for four in fours)
 
-        found: Lanes = e.once(("rows", self.rows.name), make)
-        return found
+        row_lanes: Lanes = e.get_or_make(("rows", self.rows.name), make)
+        return row_lanes
 
 
-def measured(w: Writer, near: Search, at: Lanes, place: list[Lanes], there: Lanes) -> Found:
+def measured(w: Writer, near: Search, at: Lanes, place: list[Lanes], is_present: Lanes) -> NearPairs:
     """Return pairs of the requesting agents' positions with others at indices of the grid."""
     e = w.e
     *others, rows = quadruples(e, w.base("grid", near.number, "places"), at)
     dx, dy, dz = (other - own for other, own in zip(others, place, strict=True))
-    return Found(w, near, there, at, e.bits(rows, I32), others, dx, dy, dz, np.sqrt((dx * dx + dy * dy) + dz * dz))
+    return NearPairs(w, near, is_present, at, e.bits(rows, I32), others, dx, dy, dz, np.sqrt((dx * dx + dy * dy) + dz * dz))

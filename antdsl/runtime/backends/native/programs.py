@@ -74,13 +74,13 @@ def program(plan: ir.Plan, blocks: Mapping[tuple[str, str], BlockCompiler], fact
         return plan.fields[field].combine
 
     module = Module(target)
-    found: dict[tuple[str, str], BlockCode] = {}
+    block_codes: dict[tuple[str, str], BlockCode] = {}
     for (species, block), compiler in blocks.items():
         if block not in _RUNS or not compiler.root.code:
             continue
         order = schedule(compiler, partial(lowers, plan.species[species]), costly)
         lines = Lines(compiler) if facts.timed else None
-        code = found[species, block] = BlockCode(
+        code = block_codes[species, block] = BlockCode(
             plan.species[species], [], Layout(), order, lines, bounds=bounds(compiler, order)
         )
         for stage in range(order.stages):
@@ -91,4 +91,4 @@ def program(plan: ir.Plan, blocks: Mapping[tuple[str, str], BlockCompiler], fact
             if each.does not in PAIRED and isinstance(each.what, ir.Node):
                 for part, kind in enumerate(ir.TUPLES.get(each.what.op, (each.what.kind,))):
                     code.layout.array(each.out, part, KINDS[kind])
-    return Program(module.text(), module.functions, {name: module.unit(name) for name in module.entries()}, found)
+    return Program(module.text(), module.functions, {name: module.unit(name) for name in module.entries()}, block_codes)

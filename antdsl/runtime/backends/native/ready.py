@@ -23,7 +23,7 @@ from antdsl.runtime.backends.native.programs import Facts, Program, program
 from antdsl.runtime.sensing import SENSES
 
 _plans: WeakKeyDictionary[ir.Plan, dict[Facts, Ready]] = WeakKeyDictionary()
-_asked: list[tuple[ReferenceType[Future[Ready]], Generator[None, None, Ready]]] = []
+_requests: list[tuple[ReferenceType[Future[Ready]], Generator[None, None, Ready]]] = []
 _guard = Lock()
 
 Blocks = Mapping[tuple[str, str], BlockCompiler]
@@ -57,24 +57,24 @@ def known(plan: ir.Plan, facts: Facts) -> Ready | None:
         return _plans.get(plan, {}).get(facts)
 
 
-def _made(plan: ir.Plan, blocks: Blocks, facts: Facts) -> Generator[None, None, Ready]:
+def _build_ready(plan: ir.Plan, blocks: Blocks, facts: Facts) -> Generator[None, None, Ready]:
     """Compile a plan's blocks for this processor, one piece of work per step of the generator. Raises Unavailable."""
     if why := machine.unavailable():
         raise Unavailable(why)
-    made = program(plan, blocks, facts, machine.host())
+    native_program = program(plan, blocks, facts, machine.host())
     yield
     calls: dict[Instruction, Run] = {}
     together: dict[tuple[str, str, int], list[list[Instruction]]] = {}
-    for key, code in made.blocks.items():
+    for key, code in native_program.blocks.items():
         for stage, called in enumerate(code.schedule.calls):
             together[(*key, stage)] = _groups(called)
         for each in (each for called in code.schedule.calls for each in called):
             calls[each] = numpy_calls.call(each, blocks[key])(each.out, each.inputs, None)
-    found = {}
-    for name, text in made.units.items():
-        found[name] = codes.code(text)
+    machine_codes = {}
+    for name, text in native_program.units.items():
+        machine_codes[name] = codes.code(text)
         yield
-    ready = Ready(blocks, facts, made, found, calls, together)
+    ready = Ready(blocks, facts, native_program, machine_codes, calls, together)
     with _guard:
         _plans.setdefault(plan, {})[facts] = ready
     return ready
@@ -88,7 +88,7 @@ def beside(plan: ir.Plan, blocks: Blocks, facts: Facts) -> Future[Ready]:
     future. If a program is saved again before its code is ready, the previous world is gone and its compilation stops."""
     coming: Future[Ready] = Future()
     with _guard:
-        _asked.append((ref(coming), _made(plan, blocks, facts)))
+        _requests.append((ref(coming), _build_ready(plan, blocks, facts)))
     _worker().submit(_work)
     return coming
 
@@ -96,27 +96,27 @@ def beside(plan: ir.Plan, blocks: Blocks, facts: Facts) -> Future[Ready]:
 def _work() -> None:
     """Do one piece of the latest request that is still needed."""
     with _guard:
-        _asked[:] = [each for each in _asked if each[0]() is not None]
-        if not _asked:
+        _requests[:] = [each for each in _requests if each[0]() is not None]
+        if not _requests:
             return
-        asked, making = _asked[-1]
+        future_reference, making = _requests[-1]
     try:
         next(making)
     except StopIteration as made:
         ready: Ready = made.value
-        _over(asked, lambda coming: coming.set_result(ready))
+        _over(future_reference, lambda coming: coming.set_result(ready))
     except Exception as problem:
         why = problem
-        _over(asked, lambda coming: coming.set_exception(why))
+        _over(future_reference, lambda coming: coming.set_exception(why))
     with suppress(RuntimeError):  # the program is exiting, so no caller waits
         _worker().submit(_work)
 
 
-def _over(asked: ReferenceType[Future[Ready]], tell: Callable[[Future[Ready]], None]) -> None:
+def _over(future_reference: ReferenceType[Future[Ready]], tell: Callable[[Future[Ready]], None]) -> None:
     """Complete a request: its result is ready, or it has failed."""
     with _guard:
-        _asked[:] = [each for each in _asked if each[0] is not asked]
-    coming = asked()
+        _requests[:] = [each for each in _requests if each[0] is not future_reference]
+    coming = future_reference()
     if coming is not None:
         tell(coming)
 
@@ -135,15 +135,15 @@ def _worker() -> ThreadPoolExecutor:
 
 def _groups(calls: list[Instruction]) -> list[list[Instruction]]:
     """Return calls in their order, grouped: calls of one sense with one name run at once."""
-    found: list[list[Instruction]] = []
+    groups: list[list[Instruction]] = []
     known: dict[Any, list[Instruction]] = {}
     for each in calls:
         if each.does is not Does.VALUE or not isinstance(each.what, ir.Node) or each.what.op not in SENSES:
-            found.append([each])
+            groups.append([each])
             continue
         key = (each.what.op, each.what.attrs)
         if key not in known:
             known[key] = []
-            found.append(known[key])
+            groups.append(known[key])
         known[key].append(each)
-    return found
+    return groups

@@ -44,11 +44,11 @@ class Rooms:
         old array, they share the new one; otherwise it would be copied at the end of each step."""
         holders = population.start, population.now
         array = holders[not start][name]
-        found = self.place(array)
+        located_array = self.place(array)
         for holder in holders:
             if holder.get(name) is array:
-                holder[name] = found[0]
-        return found
+                holder[name] = located_array[0]
+        return located_array
 
     def settle(self, populations: Iterable[Population]) -> None:
         """Begin a step: release unused arrays once they may outnumber those in use."""

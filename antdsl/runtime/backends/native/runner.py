@@ -18,7 +18,7 @@ from antdsl.numerics.host import EACH, cores
 from antdsl.plan import ir
 from antdsl.runtime.backends.compile import EFFECTS, PAIRS, POPULATION, THREADS, WORLD, Does, Instruction, Scope
 from antdsl.runtime.backends.metering import Metered
-from antdsl.runtime.backends.native.asking import asked
+from antdsl.runtime.backends.native.asking import record_request
 from antdsl.runtime.backends.native.lane import Lane
 from antdsl.runtime.backends.native.marks import Times
 from antdsl.runtime.backends.native.ready import Ready
@@ -48,7 +48,7 @@ class Block:
         self.stages: list[tuple[Any, Calls]] = []  # function, and what is called after it
         for stage, function in enumerate(self.code.names):
             groups = ready.together[species, name, stage]
-            calls = [(_in_place(some[0]), [(each, numbers.get(each, -1)) for each in some]) for some in groups]
+            calls = [(_in_place(group[0]), [(each, numbers.get(each, -1)) for each in group]) for group in groups]
             self.stages.append((ready.function(function), calls))
 
     def run(
@@ -137,42 +137,42 @@ class Round:
         """Have work done for each part, in threads."""
         coming = iter(self.chunks)
 
-        def some(_: int) -> None:
+        def run_parts(_: int) -> None:
             for each in coming:  # the next chunk that no thread has taken
                 work(each)
 
         if len(self.chunks) > 1:
-            parallel.side_by_side(some, min(self._threads, len(self.chunks)))
+            parallel.side_by_side(run_parts, min(self._threads, len(self.chunks)))
         else:
-            some(0)
+            run_parts(0)
 
     def _calls(self, world: World, population: Population, values: dict[ir.Node, Any], every: Calls) -> None:
         """Run the calls at the end of a stage that some agent needs."""
         needs = [max(each) for each in zip(*[chunk.lane.needs.tolist() for chunk in self.chunks], strict=True)]
         others = []
-        for in_place, some in every:
-            needed = [each for each, number in some if number < 0 or needs[number]]
+        for in_place, group in every:
+            needed = [each for each, number in group if number < 0 or needs[number]]
             if needed and in_place:
                 self._answer(world, population, values, needed)
             elif needed:
-                others.append(some)
+                others.append(group)
         if others:
             self._each(partial(Chunk.calls, every=others))
 
-    def _answer(self, world: World, population: Population, values: dict[ir.Node, Any], some: list[Instruction]) -> None:
+    def _answer(self, world: World, population: Population, values: dict[ir.Node, Any], instructions: list[Instruction]) -> None:
         """Run one or several calls of one sense with one name. The inputs are where a stage stored them, the results where the
         next stage reads them."""
-        began, block, node = perf_counter(), self._block, some[0].what
+        began, block, node = perf_counter(), self._block, instructions[0].what
         assert isinstance(node, ir.Node)
         answer, nothing = IN_PLACE[node.op]
-        asks = [block.tables.lanes.ask(each, self._end - self._begin, block.uniform, values) for each in some]
-        for each, (_, _, found) in zip(some, asks, strict=True):
+        asks = [block.tables.lanes.ask(each, self._end - self._begin, block.uniform, values) for each in instructions]
+        for each, (_, _, results) in zip(instructions, asks, strict=True):
             if each not in block.code.guarded:
-                for array, value in zip(found, nothing, strict=True):
+                for array, value in zip(results, nothing, strict=True):
                     array.fill(value)
         answer(world, population, node, slice(self._begin, self._end), asks)
         if self.chunks[0].times is not None:
-            self.chunks[0].took(began, some, [int(np.count_nonzero(asking)) for asking, _, _ in asks])
+            self.chunks[0].took(began, instructions, [int(np.count_nonzero(asking)) for asking, _, _ in asks])
 
 
 class Chunk:
@@ -213,27 +213,29 @@ class Chunk:
         if not crowded:
             for number, count in enumerate(counts):
                 if count:
-                    asked(self.block.code.lists[number], [column[:count].copy() for column in lane.columns[number]], effects)
+                    record_request(
+                        self.block.code.lists[number], [column[:count].copy() for column in lane.columns[number]], effects
+                    )
             if lane.notes[0]:
                 self._faults()
         self._slots = None
         del self.world, self.population, self.values  # not needed once no other thread uses them
         return not crowded
 
-    def took(self, began: float, some: list[Instruction], rows: list[int]) -> None:
+    def took(self, began: float, instructions: list[Instruction], rows: list[int]) -> None:
         """Divide the time of completed calls among them, by the rows of each."""
         if self.times is not None:
             each_row = (perf_counter() - began) / max(sum(rows), 1)
-            for each, count in zip(some, rows, strict=True):
+            for each, count in zip(instructions, rows, strict=True):
                 self.times.called(each, count * each_row)
 
     def _faults(self) -> None:
         """Values that were refused."""
         notes = self.lane.notes
         for k in range(int(notes[0])):
-            row, told = int(notes[1 + 2 * k]), int(notes[2 + 2 * k])
-            refused, span = self.block.code.faults[told >> WIDTH]
-            rows = row + np.flatnonzero([told >> bit & 1 for bit in range(WIDTH)])
+            row, fault_word = int(notes[1 + 2 * k]), int(notes[2 + 2 * k])
+            refused, span = self.block.code.faults[fault_word >> WIDTH]
+            rows = row + np.flatnonzero([fault_word >> bit & 1 for bit in range(WIDTH)])
             self.population.effects.faults.append(FaultEntry(self.block.compiler.name, refused, span, rows))
 
     # --- calls ---------------------------------------------------------------------------------------------------------
@@ -258,8 +260,8 @@ class Chunk:
 
     def _enter(self, scope: Scope) -> NDArray[np.intp]:
         rows, v = self._rows_of(self.block.code.schedule.slot(scope.rows)), self._known()
-        whole = len(rows) == self.last - self.first
-        v[scope.rows], v[scope.size] = (slice(self.first, self.last) if whole else rows + self.first), len(rows)
+        is_complete = len(rows) == self.last - self.first
+        v[scope.rows], v[scope.size] = (slice(self.first, self.last) if is_complete else rows + self.first), len(rows)
         return rows
 
     def _operand(self, slot: int, rows: NDArray[np.intp]) -> Any:
@@ -270,7 +272,7 @@ class Chunk:
             return array.take(rows)
         return self._known()[source]
 
-    def _made(self, each: Instruction, rows: NDArray[np.intp]) -> Any:
+    def _run_call(self, each: Instruction, rows: NDArray[np.intp]) -> Any:
         """Run a call of NumPy's for some rows."""
         v = self._known()
         for slot in each.inputs:
@@ -281,44 +283,44 @@ class Chunk:
     def calls(self, every: Sequence[list[tuple[Instruction, int]]]) -> None:
         """Make these calls, each for the rows that need it."""
         needs = self.lane.needs.tolist()
-        for some in every:
-            needed = [each for each, number in some if number < 0 or needs[number]]
+        for group in every:
+            needed = [each for each, number in group if number < 0 or needs[number]]
             if needed:
                 with np.errstate(all="ignore"):
                     self._call(needed)
 
-    def _call(self, some: list[Instruction]) -> None:
+    def _call(self, instructions: list[Instruction]) -> None:
         """Make a call, or several of one sense with one name at once: a row appears once for each of its requests."""
         code, began = self.block.code, perf_counter()
-        if len(some) == 1 and some[0] not in code.guarded:
-            rows = self._enter(some[0].scope)
+        if len(instructions) == 1 and instructions[0] not in code.guarded:
+            rows = self._enter(instructions[0].scope)
             if len(rows):
-                self._leave(some[0], rows, self._made(some[0], rows))
-                self.took(began, some, [len(rows)])
+                self._leave(instructions[0], rows, self._run_call(instructions[0], rows))
+                self.took(began, instructions, [len(rows)])
             return
-        chosen = [self._rows_of(code.mask_of(each)) for each in some]
+        chosen = [self._rows_of(code.mask_of(each)) for each in instructions]
         ends = list(accumulate(len(rows) for rows in chosen))
         if not ends[-1]:
             return
         columns = []
-        for place in range(len(some[0].inputs)):
-            parts = [self._operand(each.inputs[place], rows) for each, rows in zip(some, chosen, strict=True)]
+        for place in range(len(instructions[0].inputs)):
+            parts = [self._operand(each.inputs[place], rows) for each, rows in zip(instructions, chosen, strict=True)]
             pairs = zip(parts, chosen, strict=True)
             spread = [part if isinstance(part, np.ndarray) and part.ndim else np.full(len(rows), part) for part, rows in pairs]
             columns.append(np.concatenate(spread))
-        node = some[0].what
+        node = instructions[0].what
         assert isinstance(node, ir.Node)
         asking = np.concatenate(chosen) + self.first
-        found = SENSES[node.op](self.world, self.population, node, asking, *columns)
-        parts_of = found if isinstance(found, tuple) else (found,)
-        for each, rows, end in zip(some, chosen, ends, strict=True):
+        results = SENSES[node.op](self.world, self.population, node, asking, *columns)
+        parts_of = results if isinstance(results, tuple) else (results,)
+        for each, rows, end in zip(instructions, chosen, ends, strict=True):
             if len(rows):
                 self._leave(each, rows, tuple(part[end - len(rows) : end] for part in parts_of))
-        self.took(began, some, [len(rows) for rows in chosen])
+        self.took(began, instructions, [len(rows) for rows in chosen])
 
-    def _leave(self, each: Instruction, rows: NDArray[np.intp], found: Any) -> None:
+    def _leave(self, each: Instruction, rows: NDArray[np.intp], results: Any) -> None:
         """Put the results of a call where the next stage looks for them."""
-        for part, value in enumerate(found if isinstance(found, tuple) else (found,)):
+        for part, value in enumerate(results if isinstance(results, tuple) else (results,)):
             array = self.lane.arrays.get((each.out, part))
             if array is not None:
                 array[rows] = value

@@ -18,26 +18,26 @@ _COMPARED = frozenset(("lt", "le", "gt", "ge"))
 def own_cell(w: Any, field: str) -> Lanes:
     """Return the agent's own cell; for none, the index past the end."""
     cell = w.e.read(w.base("cell", field), w.row, I32)
-    found: Lanes = w.e.where(cell < 0, w.number(I32, "cells", field), cell)
-    return found
+    cell_number: Lanes = w.e.where(cell < 0, w.number(I32, "cells", field), cell)
+    return cell_number
 
 
 def reached(w: Any, node: ir.Node, bound: ir.Node) -> Lanes:
     """Return the lanes for which a cell around may hold as much as a bound."""
 
     def make() -> Lanes:
-        found: Lanes = w.e.gather(w.base("reached", *node.attrs, bound), own_cell(w, node.attrs[0]), BOOL)
-        return found
+        is_reached: Lanes = w.e.gather(w.base("reached", *node.attrs, bound), own_cell(w, node.attrs[0]), BOOL)
+        return is_reached
 
     may: Lanes = w.e.once(("reached", *node.attrs, bound), make)
     return may
 
 
-def strength(w: Any, node: ir.Node, bound: ir.Node, kept: Lanes) -> Lanes:
-    """Return the stored value `kept` of scents that may reach the bound. For others, return 0, which is below the bound as their
-    true value is."""
-    found: Lanes = w.e.where(reached(w, node, bound), kept, w.e.constant(0.0, kept.kind))
-    return found
+def strength(w: Any, node: ir.Node, bound: ir.Node, stored_strength: Lanes) -> Lanes:
+    """Return the stored value `stored_strength` of scents that may reach the bound. For others, return 0, which is below the
+    bound as their true value is."""
+    bounded_strength: Lanes = w.e.where(reached(w, node, bound), stored_strength, w.e.constant(0.0, stored_strength.kind))
+    return bounded_strength
 
 
 def bounds(compiler: BlockCompiler, schedule: Schedule) -> dict[int, ir.Node]:
@@ -52,7 +52,7 @@ def bounds(compiler: BlockCompiler, schedule: Schedule) -> dict[int, ir.Node]:
                 readers.setdefault(schedule.slot(slot), []).append(each)
         if each.does is Does.KEEP and _op(each) == "field.strongest" and each.out not in schedule.left:
             scents.append(each.out)
-    found = {}
+    scent_bounds = {}
     for scent in scents:
         parts = readers.get(scent, [])
         numbers = {schedule.slot(part.out) for part in parts}
@@ -61,8 +61,8 @@ def bounds(compiler: BlockCompiler, schedule: Schedule) -> dict[int, ir.Node]:
             continue
         others = {schedule.slot(slot) for by in compared for slot in by.inputs} - numbers
         if len(others) == 1 and (slot := others.pop()) in uniform:
-            found[scent] = uniform[slot]
-    return found
+            scent_bounds[scent] = uniform[slot]
+    return scent_bounds
 
 
 def _op(each: Instruction) -> str:

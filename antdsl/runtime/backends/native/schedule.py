@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 from antdsl.plan import ir
 from antdsl.runtime.backends.compile import BlockCompiler, Does, Instruction, Scope
 
-_ANEW = frozenset(("snap", "id"))  # read again rather than left in an array
+_REREAD_OPS = frozenset(("snap", "id"))  # read again rather than left in an array
 PAIRED = (Does.PAIRS, Does.SPREAD, Does.OF_PAIR, Does.BY_PAIR)
 
 
@@ -24,7 +24,7 @@ class Schedule:
     stages: int
     home: dict[int, int]
     left: set[int]
-    wanted: dict[int, set[int]]
+    use_stages: dict[int, set[int]]
     at: dict[Instruction, int]  # stage of statements, or of the end of a cached sense
     calls: list[list[Instruction]]
     alias: dict[int, int]
@@ -39,7 +39,7 @@ class Schedule:
 
     def has(self, scope: Scope, stage: int) -> bool:
         """Whether anything in a scope runs in a stage."""
-        return stage in self.wanted.get(self.slot(scope.rows), ())
+        return stage in self.use_stages.get(self.slot(scope.rows), ())
 
 
 @dataclass(slots=True)
@@ -68,7 +68,7 @@ def schedule(compiler: BlockCompiler, lowers: Callable[[ir.Node], bool], costly:
         if instruction.does is Does.REDUCE and isinstance(what, ir.Node) and not lowers(what):
             _paired(maker, instruction)
     _first(maker, compiler.root, 0)
-    return _wanted(maker)
+    return _trace_uses(maker)
 
 
 def _all(scope: Scope) -> Iterator[Instruction]:
@@ -99,12 +99,12 @@ def _known(maker: _Maker, slots: tuple[int, ...]) -> int:
     return max((maker.first.get(_slot(maker, slot), 0) for slot in slots), default=0)
 
 
-def _first(maker: _Maker, scope: Scope, begun: int) -> None:
-    """Compute the first stage in which each value can be known, and that of each statement. `begun`: the first stage with the
-    scope's mask."""
-    maker.first[scope.rows] = begun
+def _first(maker: _Maker, scope: Scope, mask_stage: int) -> None:
+    """Compute the first stage in which each value can be known, and that of each statement. `mask_stage`: the first stage with
+    the scope's mask."""
+    maker.first[scope.rows] = mask_stage
     for each in scope.code:
-        stage, what = max(begun, _known(maker, each.inputs)), each.what
+        stage, what = max(mask_stage, _known(maker, each.inputs)), each.what
         match each.does:
             case Does.GATHER:
                 maker.alias[each.out] = each.inputs[0]
@@ -114,11 +114,11 @@ def _first(maker: _Maker, scope: Scope, begun: int) -> None:
             case Does.KEEP:
                 assert each.inner is not None and isinstance(what, ir.Node)
                 key = ("kept", what)
-                stage = max(begun, maker.stored.get(key, 0))
+                stage = max(mask_stage, maker.stored.get(key, 0))
                 if maker.lowers(what) and not maker.costly(what):
                     maker.inlined.add(each)
                     maker.alias[each.out], maker.alias[each.inner.rows] = each.result, scope.rows
-                    _first(maker, each.inner, begun)
+                    _first(maker, each.inner, mask_stage)
                 else:
                     maker.loaded[key] = stage
                     _first(maker, each.inner, stage)
@@ -135,7 +135,7 @@ def _first(maker: _Maker, scope: Scope, begun: int) -> None:
                     stage = max(stage, maker.stored.get(what.attrs[0], 0))
                     maker.loaded[what.attrs[0]] = max(stage, maker.loaded.get(what.attrs[0], 0))
                 elif each.does is Does.REDUCE:
-                    stage = max(begun, _known(maker, operands_of(each)))
+                    stage = max(mask_stage, _known(maker, operands_of(each)))
                 maker.native.add(each)
                 maker.first[each.out] = stage
             case _:
@@ -152,29 +152,29 @@ def _first(maker: _Maker, scope: Scope, begun: int) -> None:
 def operands_of(reduce: Instruction) -> tuple[int, ...]:
     """Slots of the agents' own values that a reduction with machine code is made of."""
     makers = {each.out: each for each in reduce.scope.code if each.does in PAIRED}
-    found: dict[int, None] = {}
+    operands: dict[int, None] = {}
     pending = list(reduce.inputs)
-    seen: set[int] = set()
+    visited: set[int] = set()
     while pending:
         slot = pending.pop()
-        if slot in seen:
+        if slot in visited:
             continue
-        seen.add(slot)
-        made = makers.get(slot)
-        if made is None:
-            found[slot] = None
-        elif made.does is Does.SPREAD:
-            found[made.inputs[0]] = None
+        visited.add(slot)
+        producer = makers.get(slot)
+        if producer is None:
+            operands[slot] = None
+        elif producer.does is Does.SPREAD:
+            operands[producer.inputs[0]] = None
         else:
-            pending += made.inputs
-    return tuple(found)
+            pending += producer.inputs
+    return tuple(operands)
 
 
-def _wanted(maker: _Maker) -> Schedule:
+def _trace_uses(maker: _Maker) -> Schedule:
     stages = 1 + max([*maker.first.values(), *maker.at.values(), *(k + 1 for k in maker.called)], default=0)
     calls = [maker.called.get(k, []) for k in range(stages)]
     called = {each for group in calls for each in group}
-    wanted: dict[int, set[int]] = {}
+    use_stages: dict[int, set[int]] = {}
     home: dict[int, int] = {}
     left: set[int] = set()
 
@@ -183,34 +183,34 @@ def _wanted(maker: _Maker) -> Schedule:
             slot = _slot(maker, slot)
             if slot in maker.uniform:
                 continue
-            wanted.setdefault(slot, set()).add(stage)
+            use_stages.setdefault(slot, set()).add(stage)
             if array:
                 left.add(slot)
 
     made_by_calls = {each.out for each in called}
-    anew: set[int] = set()
+    reread_slots: set[int] = set()
     for each in reversed(list(_in_order(maker.compiler.root))):
         instruction, ending = each
         scope, out = instruction.scope, instruction.out
         if instruction.does is Does.REGION:
             assert instruction.inner is not None
             mask = instruction.inner.rows
-            if not ending and mask in wanted:
-                home[mask] = min(wanted[mask])
+            if not ending and mask in use_stages:
+                home[mask] = min(use_stages[mask])
                 want((instruction.inputs[0], scope.rows), home[mask])
-                _through(maker, scope, wanted, wanted[mask])
+                _through(maker, scope, use_stages, use_stages[mask])
         elif instruction.does is Does.KEEP:
             assert instruction.inner is not None
             mask = instruction.inner.rows
             if instruction in maker.inlined:
                 continue
             if ending:
-                if out in wanted:
+                if out in use_stages:
                     want((instruction.result, mask), maker.at[instruction])
-            elif mask in wanted:
-                home[mask] = min(wanted[mask])  # no stage before goes through the scope, to work it out
+            elif mask in use_stages:
+                home[mask] = min(use_stages[mask])  # no stage before goes through the scope, to work it out
                 want((scope.rows,), home[mask])
-                _through(maker, scope, wanted, wanted[mask])
+                _through(maker, scope, use_stages, use_stages[mask])
         elif ending:
             continue
         elif instruction in called:
@@ -221,29 +221,31 @@ def _wanted(maker: _Maker) -> Schedule:
             home[out] = stage + 1
         elif instruction.does is Does.STATEMENT:
             want((*instruction.inputs, scope.rows), maker.at[instruction])
-        elif instruction in maker.native and out in wanted:
+        elif instruction in maker.native and out in use_stages:
             what = instruction.what
             assert isinstance(what, ir.Node)
             inputs = operands_of(instruction) if instruction.does is Does.REDUCE else instruction.inputs
-            if what.op in _ANEW and out not in left:
-                home[out] = min(wanted[out])
-                anew.add(out)
-                for stage in wanted[out]:
+            if what.op in _REREAD_OPS and out not in left:
+                home[out] = min(use_stages[out])
+                reread_slots.add(out)
+                for stage in use_stages[out]:
                     want((scope.rows,), stage)
                 continue
-            home[out] = maker.first[out] if what.op == "load" else min(wanted[out])
+            home[out] = maker.first[out] if what.op == "load" else min(use_stages[out])
             want((*inputs, scope.rows), home[out])
-            if max(wanted[out]) > home[out]:
+            if max(use_stages[out]) > home[out]:
                 left.add(out)
-    for slot, stages_ in wanted.items():
-        if slot in home and max(stages_) > home[slot] and slot not in made_by_calls and slot not in anew:
+    for slot, stages_ in use_stages.items():
+        if slot in home and max(stages_) > home[slot] and slot not in made_by_calls and slot not in reread_slots:
             left.add(slot)
-    return Schedule(stages, home, left, wanted, maker.at, calls, maker.alias, frozenset(maker.native), frozenset(maker.inlined))
+    return Schedule(
+        stages, home, left, use_stages, maker.at, calls, maker.alias, frozenset(maker.native), frozenset(maker.inlined)
+    )
 
 
-def _through(maker: _Maker, scope: Scope, wanted: dict[int, set[int]], stages: set[int]) -> None:
+def _through(maker: _Maker, scope: Scope, use_stages: dict[int, set[int]], stages: set[int]) -> None:
     """Mark the enclosing scopes of an inner scope as needed in the same stages."""
-    wanted.setdefault(_slot(maker, scope.rows), set()).update(stages)
+    use_stages.setdefault(_slot(maker, scope.rows), set()).update(stages)
 
 
 def _in_order(scope: Scope) -> Iterator[tuple[Instruction, bool]]:

@@ -30,7 +30,7 @@ from antdsl.runtime.backends.native.near import PLACE, STRIDE, Search, measured
 from antdsl.runtime.backends.native.schedule import operands_of
 from antdsl.runtime.backends.native.sets import PairValues, own_values, sets_of, take
 from antdsl.runtime.backends.native.sums import Sum
-from antdsl.runtime.pairs import nearest_asked
+from antdsl.runtime.pairs import count_nearest
 from antdsl.runtime.world import AXES
 
 MOST = limits.NEIGHBOURS  # candidates of one agent that are gone through here, so that the cap leaves out none
@@ -42,14 +42,14 @@ _TINY, _SLACK = np.float32(1e-30), np.float32(1e-5)
 
 @dataclass(slots=True, eq=False)
 class Group:
-    """Reductions computed in one search. `own` is the address of the operand area, `out` that of the results, `done` that of the
-    mask of agents that already have them."""
+    """Reductions computed in one search. `own` is the address of the operand area, `out` that of the results, `answered_mask`
+    that of the mask of agents that already have them."""
 
     number: int
     instructions: list[Instruction]
     own: Number
     out: Number
-    done: Number
+    answered_mask: Number
     near: Search
 
 
@@ -59,20 +59,20 @@ def neighbours(b: BlockWriter, instruction: Instruction) -> None:
     shared = any(each.scope is not instruction.scope for each in group.instructions)
     mask = b.mask[-1]
     if not shared:
-        _made(b, group, e.mask_bits(mask))
+        _call_search(b, group, e.mask_bits(mask))
     else:
-        done = e.load(group.done, I8)
-        missing = e.mask_bits(mask) & ~done
+        answered_mask = e.load(group.answered_mask, I8)
+        missing = e.mask_bits(mask) & ~answered_mask
         with e.inside(missing != 0):
-            _made(b, group, missing)
-            e.put(group.done, done | missing)
+            _call_search(b, group, missing)
+            e.put(group.answered_mask, answered_mask | missing)
     for k, each in enumerate(group.instructions):
         if each.scope is instruction.scope and not any(each.out in names for names in e.known):
             kind = KINDS[group.near.nodes[k].kind]
             b.known(each.out, _of_area(e, group.out, k, kind))
     for chosen, k in group.near.stops.items():
         if any(each.scope is instruction.scope and each.what.args[0] is chosen for each in group.instructions):  # type: ignore[union-attr]
-            with e.inside(e.some(_of_area(e, group.out, k, BOOL) & mask)):
+            with e.inside(e.any_lane(_of_area(e, group.out, k, BOOL) & mask)):
                 e.put(b.base("counts"), e.constant(1, I64, 1))
 
 
@@ -83,8 +83,8 @@ def _of_area(e: LaneBuilder, area: Number, k: int, kind: str) -> Lanes:
 
 def _group_of(b: BlockWriter, first: Instruction) -> Group:
     if first in b.groups:
-        found: Group = b.groups[first]
-        return found
+        known_group: Group = b.groups[first]
+        return known_group
     together = [first, *(each for each in b.waiting(first) if each not in b.groups)]
     number = len(b.code.near)
     name = f"near.{b.species}.{b.compiler.name}.{number}"
@@ -95,15 +95,15 @@ def _group_of(b: BlockWriter, first: Instruction) -> Group:
         operands += len(operands_of(instruction)) + 4
     e = b.e
     results = 2 * len(nodes)
-    own, out = (e.room(count, text_type(I64, WIDTH)) for count in (operands, results))
+    own, out = (e.allocate(count, text_type(I64, WIDTH)) for count in (operands, results))
     group = Group(number, together, own, out, e.slot(I8), near)
-    b.at_top.append(lambda: e.put(group.done, e.constant(0, I8, 1)))
+    b.at_top.append(lambda: e.put(group.answered_mask, e.constant(0, I8, 1)))
     for each in together:
         b.groups[each] = group
     return group
 
 
-def _made(b: BlockWriter, group: Group, asking: Lanes) -> None:
+def _call_search(b: BlockWriter, group: Group, asking: Lanes) -> None:
     """Store the operands and call the search for some of eight agents. Its functions are written at the first call."""
     e, near = b.e, group.near
     fresh = not near.kinds
@@ -118,20 +118,20 @@ def _made(b: BlockWriter, group: Group, asking: Lanes) -> None:
 
     reach: dict[ir.Node, int] = {}
     view: dict[ir.Node, int] = {}
-    places: dict[ir.Node, int] = {}
-    for some in by_scope.values():
-        for chosen, slots in sets_of(some).items():
+    value_indices: dict[ir.Node, int] = {}
+    for instructions in by_scope.values():
+        for chosen, slots in sets_of(instructions).items():
             if chosen not in reach:
                 reach[chosen] = put(b.slot(slots[0]))
                 if not chosen.attrs[1]:
                     view[chosen] = put(b.slot(slots[1]))
-        for node, make in own_values(b, some).items():
-            if node not in places:
-                places[node] = put(make())
+        for node, make in own_values(b, instructions).items():
+            if node not in value_indices:
+                value_indices[node] = put(make())
     if fresh:
-        near.kinds, near.reach, near.view, near.places = [value.kind for value in values], reach, view, places
+        near.kinds, near.reach, near.view, near.operand_slots = [value.kind for value in values], reach, view, value_indices
         plan = b.code.species
-        stops = [chosen for chosen in near.reach if nearest_asked(plan, chosen) is None]
+        stops = [chosen for chosen in near.reach if count_nearest(plan, chosen) is None]
         near.stops = {chosen: len(near.nodes) + k for k, chosen in enumerate(stops)}
         read = needed(arg for node in near.nodes for arg in node.args[1:])
         names = sorted({each.attrs[0] for each in read if each.op == "other" and each.kind is ir.Kind.F32} - {*PLACE})
@@ -162,28 +162,28 @@ def _write(b: BlockWriter, near: Search) -> None:
     search = Rows(w, near.number, place, list(radius.values()), asks)
     search.note()
     heading = [e.read(w.base("start", f"heading.{axis}"), row, F32) for axis in AXES] if near.view else []
-    seen = _Seen(e, radius, {chosen: mine(k) for chosen, k in near.view.items()}, search, heading)
+    set_test = _SetTest(e, radius, {chosen: mine(k) for chosen, k in near.view.items()}, search, heading)
     itself = e.read(w.base("grid", near.number, "at"), row, I32) if near.other == b.species else None
-    buffer, number, over = _candidates(w, near, search, asks, seen, itself)
+    buffer, number, over = _candidates(w, near, search, asks, set_test, itself)
     sums = [Sum(e, node, many=False) for node in near.nodes]
     for each in sums:
         each.start()
     with e.loop(e.convert(e.greatest(number), I64)) as k:
-        there = e.convert(k, I32) < number
-        found = measured(w, near, _across(e, buffer, k), place, there)
+        is_listed = e.convert(k, I32) < number
+        pair = measured(w, near, _across(e, buffer, k), place, is_listed)
 
         def inside(chosen: ir.Node) -> Lanes:
-            reached = found.there & (found.distance <= radius[chosen])
+            reached = pair.is_present & (pair.distance <= radius[chosen])
             if chosen in near.view:
                 hx, hy, hz = heading
-                ahead = e.once("ahead", lambda: (found.dx * hx + found.dy * hy) + found.dz * hz)
-                reached = reached & (ahead >= mine(near.view[chosen]) * found.distance)
+                ahead = e.get_or_make("ahead", lambda: (pair.dx * hx + pair.dy * hy) + pair.dz * hz)
+                reached = reached & (ahead >= mine(near.view[chosen]) * pair.distance)
             return reached
 
-        pairs = PairValues(w, lambda node: mine(near.places[node]), found.leaf, b.senses)
+        pairs = PairValues(w, lambda node: mine(near.operand_slots[node]), pair.leaf, b.senses)
         for each, node in zip(sums, near.nodes, strict=True):
-            reached = e.once(("near", node.args[0]), lambda chosen=node.args[0]: inside(chosen))  # type: ignore[misc]
-            take(each, node, pairs, reached, found.ids)
+            reached = e.get_or_make(("near", node.args[0]), lambda chosen=node.args[0]: inside(chosen))  # type: ignore[misc]
+            take(each, node, pairs, reached, pair.ids)
     fits = asks & ~over
     for result, each in enumerate(sums):
         stored = e.as_stored(each.result())
@@ -192,7 +192,7 @@ def _write(b: BlockWriter, near: Search) -> None:
     for stop in near.stops.values():
         start = e.field(out, STRIDE * stop)
         e.put(start, e.where(fits, e.constant(0, I8), e.load(start, I8, WIDTH)))
-    with e.inside(e.some(over)):
+    with e.inside(e.any_lane(over)):
         e.do("call", w.table, row, e.mask_word(over), own, out, x=f"@{near.name}.many")
     write_many(b, near)
     e.end(near.name, (w.table, row, bits, own, out))
@@ -204,7 +204,7 @@ def _across(e: LaneBuilder, buffer: Lanes, k: Lanes) -> Lanes:
     return e.together(e.load(e.field(first, 4 * _LIST * lane), I32) for lane in range(WIDTH))
 
 
-class _Seen:
+class _SetTest:
     """Tests whether candidates may be in some set. It compares squares with some slack, so that no root is taken for others too
     far away or out of view. It stores the limits of eight requesting agents, to be read one agent at a time."""
 
@@ -212,7 +212,7 @@ class _Seen:
         self, e: LaneBuilder, radius: Mapping[ir.Node, Lanes], view: Mapping[ir.Node, Lanes], search: Rows, heading: list[Lanes]
     ) -> None:
         self.e, self._stack = e, search.stack
-        self._heading = [self._kept(each) for each in heading]
+        self._heading = [self._store(each) for each in heading]
         widest = {chosen: search.widest for chosen in radius} if not view else radius
         limits_of = {chosen: (each * each) * np.float32(BEYOND) + _TINY for chosen, each in widest.items()}
         if not view:
@@ -222,10 +222,10 @@ class _Seen:
             least = None
             if chosen in view:
                 cosine = view[chosen]
-                least = self._kept(cosine * np.abs(cosine) - (cosine * cosine) * _SLACK)
-            self._sets.append((self._kept(limit), least))
+                least = self._store(cosine * np.abs(cosine) - (cosine * cosine) * _SLACK)
+            self._sets.append((self._store(limit), least))
 
-    def _kept(self, value: Lanes) -> Number:
+    def _store(self, value: Lanes) -> Number:
         place = self.e.slot(F32, WIDTH)
         self.e.put(place, value)
         return place
@@ -241,46 +241,46 @@ class _Seen:
         heading = [one(each) for each in self._heading]
         sets = [(one(limit), None if least is None else one(least)) for limit, least in self._sets]
 
-        def test(places: list[Lanes]) -> Lanes:
-            dx, dy, dz = (there - here for there, here in zip(places, own, strict=True))
+        def test(positions: list[Lanes]) -> Lanes:
+            dx, dy, dz = (coordinate - own_coordinate for coordinate, own_coordinate in zip(positions, own, strict=True))
             square = (dx * dx + dy * dy) + dz * dz
-            found = None
+            is_candidate = None
             for limit, least in sets:
                 inside = square <= limit
                 if least is not None:
                     hx, hy, hz = heading
                     ahead = (dx * hx + dy * hy) + dz * hz
                     inside = inside & ~(ahead * np.abs(ahead) + _TINY < least * square)
-                found = inside if found is None else found | inside
-            assert found is not None
-            return found
+                is_candidate = inside if is_candidate is None else is_candidate | inside
+            assert is_candidate is not None
+            return is_candidate
 
         return test
 
 
 def _candidates(
-    w: Writer, near: Search, search: Rows, asks: Lanes, seen: _Seen, itself: Lanes | None
+    w: Writer, near: Search, search: Rows, asks: Lanes, set_test: _SetTest, itself: Lanes | None
 ) -> tuple[Lanes, Lanes, Lanes]:
     """List the possible members of a set for each of eight agents. Returns the list positions, the list lengths, and the agents
     with too many candidates, which have their lists skipped."""
     e = w.e
     buffer = w.base("candidates")
-    asked, found, number, own_place = (e.slot(I32, WIDTH) for _ in range(4))
-    begins, ends = (e.room(_ROWS, text_type(I32, WIDTH)) for _ in range(2))
+    candidate_count, match_count, number, own_place = (e.slot(I32, WIDTH) for _ in range(4))
+    begins, ends = (e.allocate(_ROWS, text_type(I32, WIDTH)) for _ in range(2))
     total, numbers = e.slot(I64), e.slot(I32, WIDTH)
-    for slot in (asked, found):
+    for slot in (candidate_count, match_count):
         e.put(slot, e.constant(0, I32))
     if itself is not None:
         e.put(own_place, itself)
     columns = [w.base("grid", near.number, axis) for axis in AXES]
     fours = [w.base("grid", near.number, each) for each in ("places", *near.beside)]
 
-    def some(lane: Lanes, rows: Lanes) -> None:
+    def write_lane(lane: Lanes, rows: Lanes) -> None:
         """Those of one agent, in some rows of cells."""
-        test = seen.of(lane)
+        test = set_test.of(lane)
         mine = None if itself is None else e.widened(e.read_one(own_place, lane, I32))
         own = e.address(buffer, lane * _LIST, I32)
-        so_far = e.address(found, lane, I32)
+        so_far = e.address(match_count, lane, I32)
         e.put(total, e.convert(e.load(so_far, I32), I64))
         with e.loop(rows) as row:
             index = (row << 3) + lane
@@ -307,26 +307,26 @@ def _candidates(
         e.put(number, e.constant(0, I32))
         with e.loop(rows) as row:
             begin, count = search.following()
-            sums = e.load(asked, I32, WIDTH) + count
-            e.put(asked, sums)
+            sums = e.load(candidate_count, I32, WIDTH) + count
+            e.put(candidate_count, sums)
             count = e.where(sums <= MOST, count, e.constant(0, I32))
             e.put(number, e.load(number, I32, WIDTH) | count)
             at = row << 3
             e.write(begins, at, begin)
             e.write(ends, at, begin + count)
         with e.loop(WIDTH) as lane, e.inside(e.read_one(number, lane, I32) > 0):
-            some(lane, rows)
-    counted = e.load(found, I32, WIDTH)
-    over = asks & (e.load(asked, I32, WIDTH) > MOST)
+            write_lane(lane, rows)
+    counted = e.load(match_count, I32, WIDTH)
+    over = asks & (e.load(candidate_count, I32, WIDTH) > MOST)
     counted = e.where(asks & ~over, counted, e.constant(0, I32))
     e.put(number, counted)
-    most, nobody = e.greatest(counted), e.constant(0, I32)
+    most, zero = e.greatest(counted), e.constant(0, I32)
     with e.loop(WIDTH) as lane:  # all lists go on to the end of the longest one
         many = e.read_one(number, lane, I32)
         own = e.address(buffer, lane * _LIST, I32)
         end = e.address(own, e.convert(many, I64), I32)
         short = e.convert(most - many, I64)
-        e.write(end, 0, nobody)
+        e.write(end, 0, zero)
         with e.inside(short > WIDTH), e.loop(short, WIDTH) as k:
-            e.write(end, k, nobody)
+            e.write(end, k, zero)
     return buffer, counted, over

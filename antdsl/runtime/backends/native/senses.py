@@ -21,18 +21,18 @@ from antdsl.runtime.moving.obstacle_clearance import may_touch
 from antdsl.runtime.sensing import NO_HIT
 from antdsl.runtime.world import AXES
 
-_APART = 4  # of cells around one, which come in the order of their numbers, so many lie about within a line of memory
+_CELL_STRIDE = 4  # of cells around one, which come in the order of their numbers, so many lie about within a line of memory
 
 
 def _register(w: Any, node: ir.Node, args: tuple[Any, ...]) -> Lanes:
     """A register of the agent's own, at the start of the step or now."""
-    found: Lanes = w.e.read(w.base("start" if node.op == "snap" else "now", node.attrs[0]), w.row, KINDS[node.kind])
-    return found
+    value: Lanes = w.e.read(w.base("start" if node.op == "snap" else "now", node.attrs[0]), w.row, KINDS[node.kind])
+    return value
 
 
 def _id(w: Any, node: ir.Node, args: tuple[Any, ...]) -> Lanes:
-    found: Lanes = w.e.read(w.base("ids"), w.row, I64)
-    return found
+    ids: Lanes = w.e.read(w.base("ids"), w.row, I64)
+    return ids
 
 
 def _age(w: Any, node: ir.Node, args: tuple[Any, ...]) -> Lanes:
@@ -41,8 +41,8 @@ def _age(w: Any, node: ir.Node, args: tuple[Any, ...]) -> Lanes:
 
 def _age_of(w: Any, born: Lanes) -> Lanes:
     frames = w.number(I64, "frame") - born
-    whole = w.e.convert(w.e.where(frames > 0, frames, w.e.constant(0, I64)), I32)  # a run has far fewer than 2**31 frames
-    age: Lanes = w.e.convert(w.e.convert(whole, F64) * w.number(F64, "dt"), F32)
+    frame_count = w.e.convert(w.e.where(frames > 0, frames, w.e.constant(0, I64)), I32)  # a run has far fewer than 2**31 frames
+    age: Lanes = w.e.convert(w.e.convert(frame_count, F64) * w.number(F64, "dt"), F32)
     return age
 
 
@@ -89,19 +89,19 @@ def _draw_agent(w: Any, node: ir.Node, args: tuple[Any, ...]) -> Lanes:
     word = _words(w, site, 0)[0]
     count = w.number(I64, "agents", species)
     at = (word * count) >> 32
-    found = w.e.gather(w.base("other", species, "sorted ids"), at, I64)
-    none: Lanes = w.e.where(count == 0, w.e.constant(-1, I64), found)
+    agent_id = w.e.gather(w.base("other", species, "sorted ids"), at, I64)
+    none: Lanes = w.e.where(count == 0, w.e.constant(-1, I64), agent_id)
     return none
 
 
 def _event(w: Any, node: ir.Node, args: tuple[Any, ...]) -> Lanes:
-    found: Lanes = w.e.read(w.base("event", node.attrs[0]), w.row, BOOL)
-    return found
+    has_event: Lanes = w.e.read(w.base("event", node.attrs[0]), w.row, BOOL)
+    return has_event
 
 
 def _touching(w: Any, node: ir.Node, args: tuple[Any, ...]) -> Lanes:
-    found: Lanes = w.e.read(w.base("mesh"), w.row, I64) == w.number(I64, "surface", node.attrs[0])
-    return found
+    is_touching: Lanes = w.e.read(w.base("mesh"), w.row, I64) == w.number(I64, "surface", node.attrs[0])
+    return is_touching
 
 
 def _row_of(w: Any, species: str, ids: Lanes) -> Lanes:
@@ -122,28 +122,28 @@ def _row_of(w: Any, species: str, ids: Lanes) -> Lanes:
             e.put(at, e.where(inside & (probe <= ids), ahead, place))
             e.put(step, size >> 1)
         place = e.load(at, I64, WIDTH)
-        there = (e.gather(known, place, I64) == ids) & (count > 0)
-        return e.where(there, e.gather(order, place, I64), e.constant(-1, I64))
+        is_alive = (e.gather(known, place, I64) == ids) & (count > 0)
+        return e.where(is_alive, e.gather(order, place, I64), e.constant(-1, I64))
 
-    found: Lanes = e.once(("row of", species, ids.name), make)
-    return found
+    rows: Lanes = e.get_or_make(("row of", species, ids.name), make)
+    return rows
 
 
 def _agent_get(w: Any, node: ir.Node, args: tuple[Any, ...]) -> Lanes:
     species, register = node.attrs
     row = _row_of(w, species, args[0])
-    kind, there = KINDS[node.kind], row >= 0
-    value = w.e.gather(w.base("other", species, register), w.e.where(there, row, w.e.constant(0, I64)), kind)
-    found: Lanes = w.e.where(there, value, w.e.constant(0, kind))
-    return found
+    kind, is_alive = KINDS[node.kind], row >= 0
+    value = w.e.gather(w.base("other", species, register), w.e.where(is_alive, row, w.e.constant(0, I64)), kind)
+    result: Lanes = w.e.where(is_alive, value, w.e.constant(0, kind))
+    return result
 
 
 def _agent_age(w: Any, node: ir.Node, args: tuple[Any, ...]) -> Lanes:
     row = _row_of(w, node.attrs[0], args[0])
-    there = row >= 0
-    born = w.e.gather(w.base("other", node.attrs[0], "frame of birth"), w.e.where(there, row, w.e.constant(0, I64)), I64)
-    found: Lanes = w.e.where(there, _age_of(w, born), w.e.constant(0.0, F32))
-    return found
+    is_alive = row >= 0
+    born = w.e.gather(w.base("other", node.attrs[0], "frame of birth"), w.e.where(is_alive, row, w.e.constant(0, I64)), I64)
+    age: Lanes = w.e.where(is_alive, _age_of(w, born), w.e.constant(0.0, F32))
+    return age
 
 
 def _agent_alive(w: Any, node: ir.Node, args: tuple[Any, ...]) -> Lanes:
@@ -151,16 +151,16 @@ def _agent_alive(w: Any, node: ir.Node, args: tuple[Any, ...]) -> Lanes:
 
 
 def _item_there(w: Any, items: str, item: Lanes) -> Lanes:
-    there: Lanes = (item >= 0) & (item < w.number(I32, "items", items))
-    return there
+    has_item: Lanes = (item >= 0) & (item < w.number(I32, "items", items))
+    return has_item
 
 
 def _item_get(w: Any, node: ir.Node, args: tuple[Any, ...]) -> Lanes:
     items, attribute = node.attrs
-    there = _item_there(w, items, args[0])
-    value = w.e.gather(w.base("item", items, attribute), w.e.where(there, args[0], w.e.constant(0, I32)), F32)
-    found: Lanes = w.e.where(there, value, w.e.constant(0.0, F32))
-    return found
+    has_item = _item_there(w, items, args[0])
+    value = w.e.gather(w.base("item", items, attribute), w.e.where(has_item, args[0], w.e.constant(0, I32)), F32)
+    result: Lanes = w.e.where(has_item, value, w.e.constant(0.0, F32))
+    return result
 
 
 def _item_alive(w: Any, node: ir.Node, args: tuple[Any, ...]) -> Lanes:
@@ -169,8 +169,8 @@ def _item_alive(w: Any, node: ir.Node, args: tuple[Any, ...]) -> Lanes:
 
 def _field_value(w: Any, node: ir.Node, args: tuple[Any, ...]) -> Lanes:
     held = w.e.gather(w.base("field", node.attrs[0], "held"), own_cell(w, node.attrs[0]), F64)
-    found: Lanes = w.e.convert(held, F32)
-    return found
+    amount: Lanes = w.e.convert(held, F32)
+    return amount
 
 
 def _cells_ahead(w: Any, field: str, eights: int) -> Lanes:
@@ -193,7 +193,7 @@ def fetch_ahead(w: Any, field: str, array: Lanes, size: int, eights: int = 1) ->
         _fetch(e, array, e.one(cells, lane), size)
 
 
-def _fetch_around(w: Any, field: str, held: Lanes, places: Lanes, block: Lanes, count: int) -> None:
+def _fetch_around(w: Any, field: str, held: Lanes, positions: Lanes, block: Lanes, count: int) -> None:
     """Prefetch the contents of the cells around the next eight agents, and the cell lists of the eight after them."""
     e: LaneBuilder = w.e
     fetch_ahead(w, field, block, 4 * count, 2)
@@ -201,10 +201,10 @@ def _fetch_around(w: Any, field: str, held: Lanes, places: Lanes, block: Lanes, 
     known = e.where((cells >= 0) & (cells < w.number(I32, "cells", field)), cells, e.constant(0, I32))
     for lane in range(WIDTH):
         around = e.address(block, e.convert(e.one(known, lane), I64) * count, I32)
-        for k in range(0, count, _APART):
-            there = e.read_one(around, k, I32)
-            _fetch(e, held, there, 8)
-            _fetch(e, places, there, 16)
+        for k in range(0, count, _CELL_STRIDE):
+            cell = e.read_one(around, k, I32)
+            _fetch(e, held, cell, 8)
+            _fetch(e, positions, cell, 16)
 
 
 def _first_most(e: LaneBuilder, held: Lanes, cells: Lanes, count: int, own: Lanes) -> tuple[Lanes, Lanes]:
@@ -213,8 +213,8 @@ def _first_most(e: LaneBuilder, held: Lanes, cells: Lanes, count: int, own: Lane
     none = e.constant(0.0, F64)
     eights = []
     for first in range(0, count, WIDTH):
-        places = range(first, min(first + WIDTH, count))
-        amounts = e.together((e.read_one(held, e.convert(e.read_one(cells, k, I32), I64), F64) for k in places), onto=none)
+        indices = range(first, min(first + WIDTH, count))
+        amounts = e.together((e.read_one(held, e.convert(e.read_one(cells, k, I32), I64), F64) for k in indices), onto=none)
         eights.append(e.where(amounts > none, amounts, none))
     most = eights[0]
     for each in eights[1:]:
@@ -234,17 +234,17 @@ def _field_strongest(w: Any, node: ir.Node, args: tuple[Any, ...]) -> Any:
     e: LaneBuilder = w.e
     field, count = node.attrs
     held, block, own = w.base("field", field, "held"), w.base("field", field, "block", int(count)), own_cell(w, field)
-    places = w.base("field", field, "places")
-    there = own < w.number(I32, "cells", field)
-    most, where, whose = e.slot(F64, WIDTH), e.slot(I32, WIDTH), e.slot(I32, WIDTH)
+    positions = w.base("field", field, "places")
+    has_cell = own < w.number(I32, "cells", field)
+    most, where, home_cells = e.slot(F64, WIDTH), e.slot(I32, WIDTH), e.slot(I32, WIDTH)
     e.put(most, e.constant(0.0, F64))
     e.put(where, own)
-    e.put(whose, e.where(there, own, e.constant(0, I32)))
-    asks = e.mask_word(w.mask[-1] & there)
+    e.put(home_cells, e.where(has_cell, own, e.constant(0, I32)))
+    asks = e.mask_word(w.mask[-1] & has_cell)
     with e.inside(asks != 0):
-        _fetch_around(w, field, held, places, block, int(count))
+        _fetch_around(w, field, held, positions, block, int(count))
     with e.loop(WIDTH) as lane, e.inside(e.has_bit(asks, lane)):  # cells of one agent are adjacent in memory
-        mine = e.read_one(whose, lane, I32)
+        mine = e.read_one(home_cells, lane, I32)
         best, at = _first_most(e, held, e.address(block, e.convert(mine, I64) * int(count), I32), int(count), mine)
         e.put(e.address(most, lane, F64), best)
         e.put(e.address(where, lane, I32), at)
@@ -252,9 +252,9 @@ def _field_strongest(w: Any, node: ir.Node, args: tuple[Any, ...]) -> Any:
     small = e.convert(value, F32)
     nothing = ~(small > 0)
     parts = [small]
-    for axis, there in zip(AXES, quadruples(e, places, cell), strict=False):
+    for axis, has_cell in zip(AXES, quadruples(e, positions, cell), strict=False):
         mine = e.read(w.base("start", f"position.{axis}"), w.row, F32)
-        parts.append(e.where(nothing, mine, there))
+        parts.append(e.where(nothing, mine, has_cell))
     return tuple(parts)
 
 
@@ -263,8 +263,8 @@ def _clip_value(w: Any, node: ir.Node, args: tuple[Any, ...]) -> Lanes:
     e: LaneBuilder = w.e
     last = e.constant(len(w.code.species.clips), I32)
     number = e.where((args[0] >= 0) & (args[0] < last), args[0], last)
-    found: Lanes = e.gather(w.base("clip", node.attrs[0]), number, F32)
-    return found
+    value: Lanes = e.gather(w.base("clip", node.attrs[0]), number, F32)
+    return value
 
 
 NATIVE: Mapping[str, Lower] = {
@@ -291,8 +291,8 @@ def _may_hit(w: Any, node: ir.Node, args: tuple[Any, ...]) -> Lanes:
     """Who may meet the obstacle with a ray."""
     reach = args[3]
     clear = w.e.read(w.base("clear", node.attrs[0]), w.row, F32)
-    found: Lanes = (reach > 0) & (reach < np.inf) & may_touch(clear, reach)
-    return found
+    is_near: Lanes = (reach > 0) & (reach < np.inf) & may_touch(clear, reach)
+    return is_near
 
 
 # Of what is called: who needs the call at all, and what the others get.

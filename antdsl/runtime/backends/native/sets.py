@@ -45,15 +45,15 @@ class PairValues:
             if node.rate is not ir.Rate.PAIR:
                 return self.own(node)
             if node.op in ELEMENTWISE:
-                made: Lanes = self.w.apply(node.op, *(self.value(each) for each in node.args))
-                return made
+                result: Lanes = self.w.apply(node.op, *(self.value(each) for each in node.args))
+                return result
             if node.op in self.senses:
-                made = self.senses[node.op](self.w, node, tuple(self.value(each) for each in node.args))
-                return made
+                result = self.senses[node.op](self.w, node, tuple(self.value(each) for each in node.args))
+                return result
             return self.leaf(node)
 
-        found: Lanes = self.w.e.once(("pair", node), make)
-        return found
+        pair_value: Lanes = self.w.e.get_or_make(("pair", node), make)
+        return pair_value
 
 
 # --- one by one ------------------------------------------------------------------------------------------------------
@@ -124,28 +124,28 @@ def take(each: Sum, node: ir.Node, pairs: PairValues, near: Lanes, label: Callab
 def sets_of(instructions: list[Instruction]) -> dict[ir.Node, tuple[int, ...]]:
     """The sets of some reductions, with the slots of their operands."""
     known = {each.what: each.inputs for each in instructions[0].scope.code if each.does is Does.PAIRS}
-    found: dict[ir.Node, tuple[int, ...]] = {}
+    slots_by_set: dict[ir.Node, tuple[int, ...]] = {}
     for each in instructions:
         assert isinstance(each.what, ir.Node)
         chosen = each.what.args[0]
-        found[chosen] = known[chosen]
-    return found
+        slots_by_set[chosen] = known[chosen]
+    return slots_by_set
 
 
 def own_values(b: BlockWriter, instructions: list[Instruction]) -> dict[ir.Node, Callable[[], Any]]:
     """Return the requesting agents' own values that the reductions need."""
     makers = {each.out: each for each in instructions[0].scope.code if each.does in PAIRED}
-    found: dict[ir.Node, Callable[[], Any]] = {}
+    value_makers: dict[ir.Node, Callable[[], Any]] = {}
     for instruction in instructions:
-        pending, seen = list(instruction.inputs), set()
+        pending, visited = list(instruction.inputs), set()
         while pending:
             slot = pending.pop()
-            made = makers.get(slot)
-            if made is None or slot in seen:
+            producer = makers.get(slot)
+            if producer is None or slot in visited:
                 continue
-            seen.add(slot)
-            if made.does is Does.SPREAD and isinstance(made.what, ir.Node):
-                found[made.what] = lambda source=made.inputs[0]: b.slot(source)  # type: ignore[misc]
-            elif made.does is not Does.PAIRS:
-                pending += made.inputs
-    return found
+            visited.add(slot)
+            if producer.does is Does.SPREAD and isinstance(producer.what, ir.Node):
+                value_makers[producer.what] = lambda source=producer.inputs[0]: b.slot(source)  # type: ignore[misc]
+            elif producer.does is not Does.PAIRS:
+                pending += producer.inputs
+    return value_makers

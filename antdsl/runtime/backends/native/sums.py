@@ -62,10 +62,10 @@ class Sum:
                 self._put(0, e.where(mask & (body > most), body, most))
             case _:
                 assert body is not None and label is not None
-                least, whose = self._at(0), self._at(1)
-                better = mask & ((body < least) | ((body == least) & (label < whose)))
+                least, best_label = self._at(0), self._at(1)
+                better = mask & ((body < least) | ((body == least) & (label < best_label)))
                 self._put(0, e.where(better, body, least))
-                self._put(1, e.where(better, label, whose))
+                self._put(1, e.where(better, label, best_label))
 
     def _at(self, part: int) -> Lanes:
         place, kind = self._parts[part]
@@ -125,10 +125,10 @@ class Sum:
                 mine = self._at(0)
                 self._put(0, e.where(a > mine, a, mine))
             case _:
-                mine, whose, label = self._at(0), self._at(1), other[1]
-                better = (a < mine) | ((a == mine) & (label < whose))
+                mine, best_label, label = self._at(0), self._at(1), other[1]
+                better = (a < mine) | ((a == mine) & (label < best_label))
                 self._put(0, e.where(better, a, mine))
-                self._put(1, e.where(better, label, whose))
+                self._put(1, e.where(better, label, best_label))
 
 
 START: dict[str, tuple[tuple[str, Any], ...]] = {

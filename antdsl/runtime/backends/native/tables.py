@@ -86,13 +86,13 @@ class Tables:
             holder = self._holder(key)
             if holder is not None:
                 groups.setdefault(holder, []).append((key, place))
-            elif key[0] in _FOUND:
-                self._found.append((_FOUND[str(key[0])](self, key), place))
+            elif key[0] in _FINDERS:
+                self._found.append((_FINDERS[str(key[0])](self, key), place))
         self._held = [self._group(holder, keys) for holder, keys in groups.items()]
         self._at = [0] * len(self._found)
 
     def fill(
-        self, world: World, population: Population, values: Mapping[ir.Node, Any], lasting: Any, kept: Any, grids: Any
+        self, world: World, population: Population, values: Mapping[ir.Node, Any], lasting: Any, stored_senses: Any, grids: Any
     ) -> None:
         """Fill everything except what belongs to a single lane. `values`: those of the step, including those of the run, which
         stay valid while `lasting` is the same object. `grids`: a cell grid for each search."""
@@ -103,10 +103,10 @@ class Tables:
             if any(map(is_not, held.seen, held.get(holder))):
                 held.put(world, population, holder, words)
                 held.seen, changed = held.get(holder), True
-        if kept is not self._of[0]:
-            self._of[0], changed = kept, True
+        if stored_senses is not self._of[0]:
+            self._of[0], changed = stored_senses, True
             for number, part, place in self._kept:
-                has, parts = kept[self.code.kept[number]]
+                has, parts = stored_senses[self.code.lazy_nodes[number]]
                 words[place] = address(has if part == "has" else parts[part])
         for search, grid in enumerate(grids, 1):
             if grid is not self._of[search]:
@@ -148,10 +148,10 @@ class Tables:
                         self.numbers[words[word]] = value
             self._seed = seed
         for number, (of_world, name, place) in enumerate(self._changing):
-            told = of_world(world, name)
-            if told != self._told[number]:
-                self._told[number] = told
-                self._number(place, np.float64(told) if isinstance(told, float) else np.int64(told))
+            current_value = of_world(world, name)
+            if current_value != self._told[number]:
+                self._told[number] = current_value
+                self._number(place, np.float64(current_value) if isinstance(current_value, float) else np.int64(current_value))
 
     def _number(self, place: int, value: Any) -> None:
         view = self._views[value.dtype]
@@ -186,7 +186,7 @@ class Tables:
             case "start of":
                 return self._mapping(lambda world, population: world.populations[of].start, names)
             case "item":
-                return self._mapping(lambda world, population: world.items[of].seen, names)
+                return self._mapping(lambda world, population: world.items[of].visible_values, names)
             case "field":
                 return _field(of, [(key[2:], place) for key, place in keys])
         return self._mapping(lambda world, population: population.cells, names)
@@ -280,8 +280,8 @@ class Tables:
 
 def _several(getter: Callable[..., Callable[[Any], Any]], names: Names) -> Callable[[Any], Iterable[NDArray[Any]]]:
     """What gives the arrays of these names."""
-    found = getter(*(name for name, _ in names))
-    return found if len(names) > 1 else lambda holder: (found(holder),)
+    get_arrays = getter(*(name for name, _ in names))
+    return get_arrays if len(names) > 1 else lambda holder: (get_arrays(holder),)
 
 
 def _field(of: str, names: list[tuple[Key, int]]) -> Held:
@@ -292,11 +292,11 @@ def _field(of: str, names: list[tuple[Key, int]]) -> Held:
         return field, field.version
 
     def put(world: World, population: Population, field: PheromoneField, words: Words) -> None:
-        for (what, *more), place in names:
+        for (what, *arguments), place in names:
             if what == "places":
                 words[place] = address(field.seen_places)
             else:
-                words[place] = address(field.cells.nearest(int(str(more[0]))) if more else getattr(field, str(what)))
+                words[place] = address(field.cells.nearest(int(str(arguments[0]))) if arguments else getattr(field, str(what)))
 
     return Held(lambda world, population: world.fields[of], get, put)
 
@@ -308,7 +308,7 @@ def _half(count: int) -> int:
 
 _IN_ORDER = frozenset(("sorted ids", "rows of sorted ids"))
 _ATTRIBUTES = {"frame of birth": "born", "unsorted ids": "ids"}  # of another species
-_FOUND: dict[str, Callable[[Tables, Key], Find]] = {
+_FINDERS: dict[str, Callable[[Tables, Key], Find]] = {
     "mesh": Tables._mesh,
     "event": Tables._event,
     "other": Tables._in_order,

@@ -61,22 +61,22 @@ def read_usd_mesh(stage: UsdStage, primvars: Iterable[str] = ()) -> UsdMesh:
     except ProtocolError as why:
         raise stage.senseless(why) from None
     raw = sound(vertices, faces)  # which looks at each index and each vertex that is used
-    kept = {name: value[raw.own_vertices] for name, value in values.items()}
-    return UsdMesh(raw, None if moves is None else moves.take(raw.own_vertices), kept, passed_over)
+    used_values = {name: value[raw.own_vertices] for name, value in values.items()}
+    return UsdMesh(raw, None if moves is None else moves.take(raw.own_vertices), used_values, passed_over)
 
 
 def _moves(answer: Message, count: int, frames: int) -> MeshMoves:
     tracks = answer.array("moves:tracks", "f8", None, frames, 3, 4)
-    bent = answer.indices("moves:bent", "i8", count, None)
-    offsets = answer.array("moves:offsets", "f8", frames if len(bent) else 0, len(bent), 3)
-    if len(bent) > 1 and not (np.diff(bent) > 0).all():
+    deformed = answer.indices("moves:bent", "i8", count, None)
+    offsets = answer.array("moves:offsets", "f8", frames if len(deformed) else 0, len(deformed), 3)
+    if len(deformed) > 1 and not (np.diff(deformed) > 0).all():
         raise ProtocolError("`bent` does not ascend")
-    return MeshMoves(answer.indices("moves:group", "i4", len(tracks), count), tracks, bent, offsets)
+    return MeshMoves(answer.indices("moves:group", "i4", len(tracks), count), tracks, deformed, offsets)
 
 
 def _values(answer: Message, name: str, count: int) -> Floats:
-    found = answer.arrays.get(name)
-    return answer.array(name, "f8", count) if found is not None and found.ndim == 1 else answer.array(name, "f8", count, 3)
+    array = answer.arrays.get(name)
+    return answer.array(name, "f8", count) if array is not None and array.ndim == 1 else answer.array(name, "f8", count, 3)
 
 
 def checked(read: Callable[[UsdStage], T]) -> Callable[[UsdStage], T]:
@@ -97,16 +97,16 @@ def read_usd_points(stage: UsdStage, kind: str | None = None) -> UsdPoints:
     a `kind`, return all prims below it instead, at any depth, with `userProperties:kind` equal to that word."""
     answer = stage.ask("usd-points", {"of_kind": kind})
     try:
-        places = answer.array("places", "f8", None, None, 3)
-        frames, count = places.shape[:2]
+        positions = answer.array("places", "f8", None, None, 3)
+        frames, count = positions.shape[:2]
         if count > limits.AGENTS:
             raise UsdError("too-large", f"below `{stage.prim}` are more than {limits.AGENTS:,} points")
-        if frames not in (1, len(stage.frames)) or not np.isfinite(places).all():
+        if frames not in (1, len(stage.frames)) or not np.isfinite(positions).all():
             raise ProtocolError("`places` has other frames, or a point that is not finite")
         keys, words = answer.texts("values", 10_000), answer.texts("texts", 10_000)
         return UsdPoints(
             names=answer.packed_texts("names", count),
-            places=places,
+            positions=positions,
             radius=answer.array("radius", "f8", count),
             values={key: answer.array(f"value:{number}", "f8", count) for number, key in enumerate(keys)},
             texts={key: answer.packed_texts(f"text:{number}", count) for number, key in enumerate(words)},
@@ -122,10 +122,10 @@ def read_usd_curve(stage: UsdStage) -> Floats:
     """Return the points (frames, k, 3) of the one BasisCurves at or below the prim; a single frame if it is static.
 
     Raises UsdError if there is none or more than one."""
-    places = stage.ask("usd-curve").array("places", "f8", None, None, 3)
-    if len(places) not in (1, len(stage.frames)) or not places.shape[1] >= 2 or not np.isfinite(places).all():
+    positions = stage.ask("usd-curve").array("places", "f8", None, None, 3)
+    if len(positions) not in (1, len(stage.frames)) or not positions.shape[1] >= 2 or not np.isfinite(positions).all():
         raise ProtocolError("`places` has other frames, too few points, or one that is not finite")
-    return places
+    return positions
 
 
 @checked

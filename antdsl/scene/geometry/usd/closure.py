@@ -24,7 +24,7 @@ from typing import NoReturn
 
 from antdsl import limits
 from antdsl.reader import client
-from antdsl.reader.protocol import ProtocolError, Refusal, shown
+from antdsl.reader.protocol import ProtocolError, Refusal, display_text
 from antdsl.scene.geometry.usd.errors import UsdError
 from antdsl.scene.paths import PathRefused, Roots
 
@@ -39,7 +39,7 @@ PACKAGE = ".usdz"
 KINDS = (*LAYERS, PACKAGE)
 _ADDRESS = re.compile("[A-Za-z][A-Za-z0-9+.-]+:")
 _ABSOLUTE = re.compile(r"[/\\]|[A-Za-z]:")
-_SHOWN = 80
+_DISPLAY_WIDTH = 80
 
 Place = tuple[str, str]  # the full path of a file, and the layer inside of it where it is a package, else ""
 
@@ -74,14 +74,14 @@ class Closure:
     def _collect(self, text: str) -> str:
         """Copy the file and all files it consists of; return the path of its copy."""
         waiting = [self._add(text, None)]
-        seen = set(waiting)
+        known_places = set(waiting)
         while waiting:
             place = waiting.pop()
-            for found in self._named(place):
-                if found not in seen:
-                    seen.add(found)
-                    waiting.append(found)
-                    if len(seen) > limits.USD_LAYERS:
+            for layer_place in self._named(place):
+                if layer_place not in known_places:
+                    known_places.add(layer_place)
+                    waiting.append(layer_place)
+                    if len(known_places) > limits.USD_LAYERS:
                         raise self._too_large(text)
         return self._copy(self._top)
 
@@ -180,14 +180,14 @@ class Closure:
         outer, mark, inner = asset.partition("[")
         if _ABSOLUTE.match(asset):
             self._outside(named)
-        found = self._add(self._found(place[0], outer, named), place)
+        file_place = self._add(self._find_name(place[0], outer, named), place)
         if not mark:
-            return found
-        if found[0] not in self._packages or inner.removesuffix("]") not in self._packages[found[0]]:
+            return file_place
+        if file_place[0] not in self._packages or inner.removesuffix("]") not in self._packages[file_place[0]]:
             raise UsdError("bad-path", f"{named} is not a layer of a package", "name the package alone", "usd")
-        return found[0], inner.removesuffix("]")
+        return file_place[0], inner.removesuffix("]")
 
-    def _found(self, path: str, asset: str, named: str) -> str:
+    def _find_name(self, path: str, asset: str, named: str) -> str:
         """Return the name of the file that USD would find: next to the layer, else next to the first one."""
         folders = [os.path.dirname(path)] + ([] if asset.startswith(".") else [os.path.dirname(self._top)])
         names = [self._name(os.path.normpath(os.path.join(folder, asset))) for folder in folders]
@@ -231,11 +231,11 @@ def _naming(place: Place | None) -> str:
 
 def _layer(place: Place) -> str:
     name = posixpath.basename(place[1]) or os.path.basename(place[0])
-    return f"`{shown(name[:_SHOWN])}`"
+    return f"`{display_text(name[:_DISPLAY_WIDTH])}`"
 
 
 def _cut(text: str) -> str:
-    return shown(text if len(text) <= _SHOWN else text[: _SHOWN - 3] + "…")
+    return display_text(text if len(text) <= _DISPLAY_WIDTH else text[: _DISPLAY_WIDTH - 3] + "…")
 
 
 class PackageError(Exception):
@@ -269,31 +269,31 @@ def _layers(archive: zipfile.ZipFile, size: int) -> dict[str, bytes]:
         raise PackageError(f"has {len(entries):,} members, and more than {limits.PACKAGE_PARTS:,} are not read")
     if sum(entry.file_size for entry in entries) > size:
         raise PackageError("says that it holds more than its own size")
-    seen: set[str] = set()
+    known_names: set[str] = set()
     for entry in entries:
-        _check_member(entry, seen)
+        _check_member(entry, known_names)
     layers = [entry for entry in entries if entry.filename.lower().endswith(LAYERS)]
     if not layers or layers[0] is not entries[0]:
         raise PackageError("does not begin with a layer")
     return {entry.filename: archive.read(entry) for entry in layers}  # reading compares the checksum
 
 
-def _check_member(entry: zipfile.ZipInfo, seen: set[str]) -> None:
+def _check_member(entry: zipfile.ZipInfo, known_names: set[str]) -> None:
     name = entry.orig_filename
-    told = f"`{shown(name[:60])}`"
+    display_name = f"`{display_text(name[:60])}`"
     parts = name.removesuffix("/").split("/")
     if not all(_NAME.fullmatch(part) and part not in (".", "..") for part in parts) or len(name) > 4096:
-        raise PackageError(f"has a member {told} with a name that is absolute, leaves the package or is no plain name")
-    if posixpath.normcase(name) in seen:
-        raise PackageError(f"has two members {told}")
-    seen.add(name)
+        raise PackageError(f"has a member {display_name} with a name that is absolute, leaves the package or is no plain name")
+    if posixpath.normcase(name) in known_names:
+        raise PackageError(f"has two members {display_name}")
+    known_names.add(name)
     if entry.flag_bits & 0x41:
-        raise PackageError(f"has an encrypted member {told}")
+        raise PackageError(f"has an encrypted member {display_name}")
     if entry.compress_type != zipfile.ZIP_STORED or entry.compress_size != entry.file_size:
-        raise PackageError(f"has a compressed member {told}, and those of a .usdz are stored")
+        raise PackageError(f"has a compressed member {display_name}, and those of a .usdz are stored")
     kind = entry.external_attr >> 28
     if kind not in (0, 4, 8):  # file types of Unix: none given, a folder, a regular file
-        raise PackageError(f"has a member {told} that is a link or a device")
+        raise PackageError(f"has a member {display_name} that is a link or a device")
 
 
 def packed(layers: dict[str, bytes]) -> bytes:

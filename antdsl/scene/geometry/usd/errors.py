@@ -25,8 +25,8 @@ class UsdError(Refusal):
 
 def words_of(problem: Exception, folder: str) -> str:
     """Return the message of a USD exception without the location in USD's sources. `folder`: as for `plain_words`."""
-    found = re.findall(r"in file \S+ : '(.*?)'\s*(?:\n|$)", str(problem), re.DOTALL)
-    return plain_words(found[-1] if found else type(problem).__name__, folder)
+    messages = re.findall(r"in file \S+ : '(.*?)'\s*(?:\n|$)", str(problem), re.DOTALL)
+    return plain_words(messages[-1] if messages else type(problem).__name__, folder)
 
 
 def plain_words(text: str, folder: str) -> str:

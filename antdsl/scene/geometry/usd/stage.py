@@ -39,7 +39,7 @@ class UsdStage:
 
     def ask(self, kind: str, document: Mapping[str, Any] | None = None) -> Message:
         """Return the reader's answer about this stage, which is not trusted. Raises UsdError, MeshError for an invalid mesh, or a
-        Refusal that is `about` something known to the caller."""
+        Refusal that is `key_fields` something known to the caller."""
         said = {
             "path": self.closure.path,
             "folder": self.closure.folder,
@@ -50,8 +50,8 @@ class UsdStage:
             "fps": [self.fps.numerator, self.fps.denominator],
             **(document or {}),
         }
-        about = {name: value for name, value in said.items() if name not in ("path", "folder")}
-        digest = blake2b(repr((kind, self.closure.digest, sorted(about.items()), self.frames)).encode(), digest_size=16)
+        key_fields = {name: value for name, value in said.items() if name not in ("path", "folder")}
+        digest = blake2b(repr((kind, self.closure.digest, sorted(key_fields.items()), self.frames)).encode(), digest_size=16)
         try:
             return client.ask(
                 kind,

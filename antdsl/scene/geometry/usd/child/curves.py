@@ -29,16 +29,16 @@ def curve_places(stage: OpenStage) -> Floats:
 
     Raises UsdError if there is none or more than one."""
     geom = pxr("UsdGeom")
-    found = [prim for prim in stage.below(stage.prim) if prim.IsA(geom.BasisCurves)]
+    curves = [prim for prim in stage.below(stage.prim) if prim.IsA(geom.BasisCurves)]
     path = stage.prim.GetPath()
-    if not found:
+    if not curves:
         other = sorted({str(p.GetTypeName()) for p in stage.below(stage.prim) if p.IsA(geom.Curves)})
         words = f"there is no curve at or below `{path}`" + (f", only {', '.join(other)}" if other else "")
         raise UsdError("no-such-prim", words, "name a prim of the type BasisCurves")
-    if len(found) > 1:
-        names = ", ".join(f"`{prim.GetPath()}`" for prim in found[:4])
-        raise UsdError("bad-usd", f"below `{path}` are {len(found)} curves", f"name one of them: {names}")
-    prim, curve = found[0], geom.BasisCurves(found[0])
+    if len(curves) > 1:
+        names = ", ".join(f"`{prim.GetPath()}`" for prim in curves[:4])
+        raise UsdError("bad-usd", f"below `{path}` are {len(curves)} curves", f"name one of them: {names}")
+    prim, curve = curves[0], geom.BasisCurves(curves[0])
     counts = list(curve.GetCurveVertexCountsAttr().Get(stage.first) or [])
     if len(counts) != 1:
         raise UsdError("bad-usd", f"`{prim.GetPath()}` holds {len(counts)} curves, not one", "split it into one prim a curve")
@@ -46,26 +46,26 @@ def curve_places(stage: OpenStage) -> Floats:
         curve.GetPointsAttr().ValueMightBeTimeVarying() or curve.GetCurveVertexCountsAttr().ValueMightBeTimeVarying()
     )
     travels = stage.travels(prim)
-    ways = stage.matrices(prim, travels)
+    transforms = stage.matrices(prim, travels)
     first = _polyline(curve, stage.first, prim)
     if len(first) > limits.AGENTS:
         raise UsdError("too-large", f"`{prim.GetPath()}` has more than {limits.AGENTS:,} points")
     times = stage.times if bends or travels else stage.times[:1]
     check_bytes(len(first) * len(times) * 24, f"`{prim.GetPath()}`")
-    places = np.empty((len(times), len(first), 3))
+    positions = np.empty((len(times), len(first), 3))
     for k, time in enumerate(times):
         line = _polyline(curve, pxr("Usd").TimeCode(time), prim) if k and bends else first
         if len(line) != len(first):
             raise UsdError("moving-topology", f"the curve `{prim.GetPath()}` has other points at other frames", BAKE)
-        places[k] = applied(ways[min(k, len(ways) - 1)], line)
-    if not np.isfinite(places).all():
+        positions[k] = applied(transforms[min(k, len(transforms) - 1)], line)
+    if not np.isfinite(positions).all():
         raise UsdError("bad-usd", f"`{prim.GetPath()}` has a point that is not finite")
-    return places
+    return positions
 
 
 def _polyline(curve: Any, time: Any, prim: Any) -> Floats:
-    given = curve.GetPointsAttr().Get(time)
-    points = np.array([] if given is None else given, np.float64).reshape(-1, 3)
+    point_values = curve.GetPointsAttr().Get(time)
+    points = np.array([] if point_values is None else point_values, np.float64).reshape(-1, 3)
     counts = list(curve.GetCurveVertexCountsAttr().Get(time) or [])
     if counts != [len(points)] or len(points) < 2:
         raise UsdError("bad-usd", f"`{prim.GetPath()}` has {len(points):,} points where its curve says {counts}")

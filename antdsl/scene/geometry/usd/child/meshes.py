@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from antdsl import limits
 from antdsl.reader.sandbox import allow_memory
-from antdsl.scene.geometry.matrices import after, applied, determinants, have_inverses, inverse, still
+from antdsl.scene.geometry.matrices import applied, compose, determinants, have_inverses, inverse, still
 from antdsl.scene.geometry.mesh_text import MeshError
 from antdsl.scene.geometry.polygons import TooManyCorners, triangulate
 from antdsl.scene.geometry.usd.child.shapes import BAKE, Placed, check_bytes, other_shapes, placed_meshes
@@ -40,11 +40,11 @@ class _Shape:
     placed: Placed
     points: Floats
     faces: Faces
-    bent: bool
+    is_deformed: bool
 
     @property
     def count(self) -> int:
-        return len(self.placed.ways)
+        return len(self.placed.transforms)
 
 
 def joined_mesh(stage: OpenStage, primvars: Iterable[str] = ()) -> JoinedMesh:
@@ -85,17 +85,17 @@ def _shape(stage: OpenStage, placed: Placed) -> _Shape:
     for attribute in (mesh.GetFaceVertexCountsAttr(), mesh.GetFaceVertexIndicesAttr()):
         if len(stage.times) > 1 and attribute.ValueMightBeTimeVarying():
             _same_faces(stage, attribute, path)
-    whole = np.ones(len(counts), np.bool_)
+    is_filled = np.ones(len(counts), np.bool_)
     holes = np.array(mesh.GetHoleIndicesAttr().Get(stage.first) or [], np.int64)
-    whole[holes[(holes >= 0) & (holes < len(counts))]] = False
-    faces = _triangles(points, counts, corners, whole, mesh.GetOrientationAttr().Get(stage.first) == "leftHanded", path)
-    bent = len(stage.times) > 1 and mesh.GetPointsAttr().ValueMightBeTimeVarying()
-    return _Shape(placed, points, faces, bent)
+    is_filled[holes[(holes >= 0) & (holes < len(counts))]] = False
+    faces = _triangles(points, counts, corners, is_filled, mesh.GetOrientationAttr().Get(stage.first) == "leftHanded", path)
+    is_deformed = len(stage.times) > 1 and mesh.GetPointsAttr().ValueMightBeTimeVarying()
+    return _Shape(placed, points, faces, is_deformed)
 
 
 def _points(mesh: Any, time: float) -> Floats:
-    found = mesh.GetPointsAttr().Get(pxr("Usd").TimeCode(time))
-    return np.array([] if found is None else found, np.float64).reshape(-1, 3)
+    values = mesh.GetPointsAttr().Get(pxr("Usd").TimeCode(time))
+    return np.array([] if values is None else values, np.float64).reshape(-1, 3)
 
 
 def _same_faces(stage: OpenStage, attribute: Any, path: Any) -> None:
@@ -106,33 +106,38 @@ def _same_faces(stage: OpenStage, attribute: Any, path: Any) -> None:
 
 
 def _triangles(
-    points: Floats, counts: NDArray[np.int64], corners: NDArray[np.int64], whole: NDArray[np.bool_], backwards: bool, path: Any
+    points: Floats,
+    counts: NDArray[np.int64],
+    corners: NDArray[np.int64],
+    is_filled: NDArray[np.bool_],
+    backwards: bool,
+    path: Any,
 ) -> Faces:
-    """Return triangles (m, 3) of the polygons that are `whole`. With `backwards`, each is read in reverse order from its first
-    corner."""
+    """Return triangles (m, 3) of the polygons that are `is_filled`. With `backwards`, each is read in reverse order from its
+    first corner."""
     at = np.arange(len(corners))
     if backwards:
         start, count = np.repeat(np.cumsum(counts) - counts, counts), np.repeat(counts, counts)
         at = start + (start - at) % np.maximum(count, 1)
-    kept = corners[at[np.repeat(whole, counts)]]
-    if len(kept) and not np.isfinite(points[kept]).all():
+    filled_corners = corners[at[np.repeat(is_filled, counts)]]
+    if len(filled_corners) and not np.isfinite(points[filled_corners]).all():
         raise MeshError(f"has at `{path}` a vertex that is not a finite point")
     try:
-        return np.asarray(kept[triangulate(points, counts[whole], kept).corners])
+        return np.asarray(filled_corners[triangulate(points, counts[is_filled], filled_corners).corners])
     except TooManyCorners as why:
         raise MeshError(f"has at `{path}` a part that {why}", "cut it into smaller faces in the program that made it") from None
 
 
 def _joined(shapes: list[_Shape]) -> tuple[Floats, Faces]:
     """Return every shape at every place, at the first frame. The outside of a mirrored one stays outside."""
-    vertices, faces, before = [], [], 0
+    vertices, faces, vertex_count = [], [], 0
     for shape in shapes:
-        ways, count = shape.placed.ways[:, 0], len(shape.points)
-        vertices.append(applied(ways[:, None], shape.points).reshape(-1, 3))
-        is_mirrored = determinants(ways) < 0
+        transforms, count = shape.placed.transforms[:, 0], len(shape.points)
+        vertices.append(applied(transforms[:, None], shape.points).reshape(-1, 3))
+        is_mirrored = determinants(transforms) < 0
         turned = np.where(is_mirrored[:, None, None], shape.faces[:, [0, 2, 1]], shape.faces)
-        faces.append((turned + (before + count * np.arange(len(ways)))[:, None, None]).reshape(-1, 3))
-        before += count * len(ways)
+        faces.append((turned + (vertex_count + count * np.arange(len(transforms)))[:, None, None]).reshape(-1, 3))
+        vertex_count += count * len(transforms)
     return np.concatenate(vertices), np.concatenate(faces)
 
 
@@ -140,29 +145,29 @@ def _moves(stage: OpenStage, shapes: list[_Shape]) -> dict[str, NDArray[Any]] | 
     """Return one track for each place that moves. Where points deform, or a place begins without a size, each vertex moves
     separately."""
     frames = len(stage.times)
-    if not any(shape.bent or shape.placed.ways.shape[1] > 1 for shape in shapes):
+    if not any(shape.is_deformed or shape.placed.transforms.shape[1] > 1 for shape in shapes):
         return None
     free = [_are_free(shape) for shape in shapes]
     sizes = [
-        len(shape.points) * frames * 24 * int(alone.sum()) + shape.placed.ways.shape[1] * 96 * int((~alone).sum())
+        len(shape.points) * frames * 24 * int(alone.sum()) + shape.placed.transforms.shape[1] * 96 * int((~alone).sum())
         for shape, alone in zip(shapes, free, strict=True)
     ]
     check_bytes(sum(sizes), "what moves")
-    tracks, group, bent, before, count = [still(1, frames)], [], [], 0, 1
+    tracks, group, deformed, vertex_count, count = [still(1, frames)], [], [], 0, 1
     for shape, alone in zip(shapes, free, strict=True):
-        ways, points = shape.placed.ways, len(shape.points)
-        is_first = (ways == ways[:, :1]).all(axis=(2, 3))
+        transforms, points = shape.placed.transforms, len(shape.points)
+        is_first = (transforms == transforms[:, :1]).all(axis=(2, 3))
         moved = ~alone & ~is_first.all(axis=1)
         number = np.where(moved, count + np.cumsum(moved) - 1, 0)
         group.append(np.repeat(number.astype(np.int32), points))
         if moved.any():
-            track = after(ways[moved], inverse(ways[moved, 0])[:, None])
+            track = compose(transforms[moved], inverse(transforms[moved, 0])[:, None])
             track[is_first[moved]] = still()  # exactly where it rests
             tracks.append(track)
             count += len(track)
-        bent.append((before + points * np.flatnonzero(alone)[:, None] + np.arange(points)).ravel())
-        before += points * len(ways)
-    numbers = np.concatenate(bent)
+        deformed.append((vertex_count + points * np.flatnonzero(alone)[:, None] + np.arange(points)).ravel())
+        vertex_count += points * len(transforms)
+    numbers = np.concatenate(deformed)
     offsets = np.empty((frames if len(numbers) else 0, len(numbers), 3))
     for k in range(len(offsets)):
         offsets[k] = np.concatenate([_offsets(stage, s, f, k) for s, f in zip(shapes, free, strict=True) if f.any()])
@@ -173,20 +178,20 @@ def _moves(stage: OpenStage, shapes: list[_Shape]) -> dict[str, NDArray[Any]] | 
 
 def _are_free(shape: _Shape) -> NDArray[np.bool_]:
     """Return for each place of a shape whether its vertices move separately."""
-    ways = shape.placed.ways
-    if shape.bent:
-        return np.ones(len(ways), np.bool_)
-    return ~have_inverses(ways[:, 0]) if ways.shape[1] > 1 else np.zeros(len(ways), np.bool_)
+    transforms = shape.placed.transforms
+    if shape.is_deformed:
+        return np.ones(len(transforms), np.bool_)
+    return ~have_inverses(transforms[:, 0]) if transforms.shape[1] > 1 else np.zeros(len(transforms), np.bool_)
 
 
 def _offsets(stage: OpenStage, shape: _Shape, free: NDArray[np.bool_], k: int) -> Floats:
     """Return the offsets of the vertices of free places at a frame from their rest positions."""
-    points = _points(pxr("UsdGeom").Mesh(shape.placed.prim), stage.times[k]) if shape.bent else shape.points
+    points = _points(pxr("UsdGeom").Mesh(shape.placed.prim), stage.times[k]) if shape.is_deformed else shape.points
     if len(points) != len(shape.points):
         path = shape.placed.prim.GetPath()
         raise UsdError("moving-topology", f"the mesh `{path}` has other points at other frames", BAKE)
-    ways = shape.placed.ways[free]
-    shift = applied(ways[:, min(k, ways.shape[1] - 1), None], points) - applied(ways[:, 0, None], shape.points)
+    transforms = shape.placed.transforms[free]
+    shift = applied(transforms[:, min(k, transforms.shape[1] - 1), None], points) - applied(transforms[:, 0, None], shape.points)
     return shift.reshape(-1, 3)
 
 
@@ -197,24 +202,24 @@ def _values(stage: OpenStage, shape: _Shape, name: str) -> Floats:
     primvar = pxr("UsdGeom").PrimvarsAPI(prim).FindPrimvarWithInheritance(name)
     if not primvar or not primvar.HasValue():
         raise UsdError("no-such-prim", f"`{prim.GetPath()}` has no primvar `{name}`", f"paint `primvars:{name}` on it")
-    found = np.array(primvar.ComputeFlattened(stage.first), np.float64)
-    found = found.reshape(-1, 1) if found.ndim == 1 and not _is_vector(primvar) else found.reshape(-1, found.shape[-1])
-    if primvar.GetInterpolation() == "constant" and len(found) == 1:
-        found = np.repeat(found, len(shape.points), axis=0)
-    if len(found) != len(shape.points):
-        words = f"the primvar `{name}` of `{prim.GetPath()}` has {len(found):,} values for {len(shape.points):,} points"
+    values = np.array(primvar.ComputeFlattened(stage.first), np.float64)
+    values = values.reshape(-1, 1) if values.ndim == 1 and not _is_vector(primvar) else values.reshape(-1, values.shape[-1])
+    if primvar.GetInterpolation() == "constant" and len(values) == 1:
+        values = np.repeat(values, len(shape.points), axis=0)
+    if len(values) != len(shape.points):
+        words = f"the primvar `{name}` of `{prim.GetPath()}` has {len(values):,} values for {len(shape.points):,} points"
         raise UsdError("bad-usd", words, "paint it on the points (interpolation `vertex`)")
-    if found.shape[1] == 3:
-        return _turned(shape.placed.ways[:, 0, None], found).reshape(-1, 3)
-    return np.tile(found[:, 0], shape.count)
+    if values.shape[1] == 3:
+        return _turned(shape.placed.transforms[:, 0, None], values).reshape(-1, 3)
+    return np.tile(values[:, 0], shape.count)
 
 
 def _is_vector(primvar: Any) -> bool:
     return "3" in str(primvar.GetTypeName())
 
 
-def _turned(ways: Floats, vectors: Floats) -> Floats:
-    turned = applied(np.concatenate([ways[..., :3], np.zeros((*ways.shape[:-1], 1))], axis=-1), vectors)
+def _turned(transforms: Floats, vectors: Floats) -> Floats:
+    turned = applied(np.concatenate([transforms[..., :3], np.zeros((*transforms.shape[:-1], 1))], axis=-1), vectors)
     long, size = (np.sqrt((v * v).sum(axis=-1, keepdims=True)) for v in (vectors, turned))
     return np.asarray(turned * (long / np.where(size > 0, size, 1.0)))
 

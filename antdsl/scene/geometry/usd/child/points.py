@@ -15,7 +15,7 @@ from antdsl.scene.geometry.usd.errors import UsdError, pxr
 from antdsl.scene.geometry.usd.points import UsdPoints
 
 _USER = "userProperties"  # the namespace into which Blender, Maya and others export what users gave an object
-_KINDS_TOLD = 12
+_MOST_KINDS = 12
 
 
 def point_arrays(stage: OpenStage, kind: str | None = None) -> UsdPoints:
@@ -32,13 +32,13 @@ def point_arrays(stage: OpenStage, kind: str | None = None) -> UsdPoints:
         raise UsdError(
             "no-such-prim", f"there are neither points nor empties below `{stage.prim.GetPath()}`", "name a Points prim"
         )
-    counts = [part.places.shape[1] for part in parts]
+    counts = [part.positions.shape[1] for part in parts]
     if sum(counts) > limits.AGENTS:
         raise UsdError("too-large", f"below `{stage.prim.GetPath()}` are more than {limits.AGENTS:,} points")
-    frames = max(len(part.places) for part in parts)
+    frames = max(len(part.positions) for part in parts)
     check_bytes(sum(counts) * frames * 24, f"the points below `{stage.prim.GetPath()}`")
-    places = np.concatenate([np.broadcast_to(p.places, (frames, n, 3)) for p, n in zip(parts, counts, strict=True)], axis=1)
-    if not np.isfinite(places).all():
+    positions = np.concatenate([np.broadcast_to(p.positions, (frames, n, 3)) for p, n in zip(parts, counts, strict=True)], axis=1)
+    if not np.isfinite(positions).all():
         raise UsdError("bad-usd", f"a point below `{stage.prim.GetPath()}` is not finite")
     names = [name for part in parts for name in part.names]
     again = {name for name in names if names.count(name) > 1} if len(names) <= 1000 else set()
@@ -46,7 +46,7 @@ def point_arrays(stage: OpenStage, kind: str | None = None) -> UsdPoints:
     words = sorted({key for part in parts for key in part.texts})
     return UsdPoints(
         names=tuple(f"{name}_{number}" if name in again else name for number, name in enumerate(names)),
-        places=places,
+        positions=positions,
         radius=np.concatenate([part.radius for part in parts]),
         values={
             key: np.concatenate([part.values.get(key, np.full(n, np.nan)) for part, n in zip(parts, counts, strict=True)])
@@ -65,22 +65,22 @@ def _cloud(stage: OpenStage, prim: Any) -> UsdPoints:
     points = pxr("UsdGeom").Points(prim)
     attribute, path = points.GetPointsAttr(), prim.GetPath()
     moving = len(stage.times) > 1 and attribute.ValueMightBeTimeVarying()
-    ways = stage.matrices(prim, stage.travels(prim))
+    transforms = stage.matrices(prim, stage.travels(prim))
     count = len(attribute.Get(stage.first) or [])
-    times = stage.times if moving or len(ways) > 1 else stage.times[:1]
+    times = stage.times if moving or len(transforms) > 1 else stage.times[:1]
     check_bytes(count * len(times) * 24, f"`{path}`")
-    places = np.empty((len(times), count, 3))
+    positions = np.empty((len(times), count, 3))
     for k, time in enumerate(times):
-        given = np.array(attribute.Get(pxr("Usd").TimeCode(time)) or [], np.float64).reshape(-1, 3)
-        if len(given) != count:
+        frame_points = np.array(attribute.Get(pxr("Usd").TimeCode(time)) or [], np.float64).reshape(-1, 3)
+        if len(frame_points) != count:
             raise UsdError("moving-topology", f"`{path}` has other points at other frames", BAKE)
-        places[k] = applied(ways[min(k, len(ways) - 1)], given)
+        positions[k] = applied(transforms[min(k, len(transforms) - 1)], frame_points)
     widths = np.array(points.GetWidthsAttr().Get(stage.first) or [], np.float64)
-    one = scale(ways[0])
+    one = scale(transforms[0])
     width = np.broadcast_to(widths, count) if len(widths) in (1, count) and count else np.full(count, np.nan)
     names = tuple(_names(prim, count))
     values = _numbers(stage, prim, count)
-    return UsdPoints(names, places, width / 2 * one, values, {}, np.full((count, 3), np.nan), scale(stage.to_scene))
+    return UsdPoints(names, positions, width / 2 * one, values, {}, np.full((count, 3), np.nan), scale(stage.to_scene))
 
 
 def _names(prim: Any, count: int) -> list[str]:
@@ -93,36 +93,36 @@ def _names(prim: Any, count: int) -> list[str]:
 
 
 def _numbers(stage: OpenStage, prim: Any, count: int) -> dict[str, Floats]:
-    found = {}
+    values_by_name = {}
     for primvar in pxr("UsdGeom").PrimvarsAPI(prim).GetPrimvarsWithValues():
-        given = primvar.ComputeFlattened(stage.first)
-        numbers = np.atleast_1d(np.array(given)) if given is not None else np.empty(0)
+        value = primvar.ComputeFlattened(stage.first)
+        numbers = np.atleast_1d(np.array(value)) if value is not None else np.empty(0)
         if numbers.dtype.kind in "fiu" and numbers.ndim == 1 and len(numbers) in (1, count):
-            found[str(primvar.GetPrimvarName())] = np.broadcast_to(numbers.astype(np.float64), count).copy()
-    return found
+            values_by_name[str(primvar.GetPrimvarName())] = np.broadcast_to(numbers.astype(np.float64), count).copy()
+    return values_by_name
 
 
 def _children(stage: OpenStage) -> list[Any]:
     return [
         p
         for p in stage.prim.GetFilteredChildren(pxr("Usd").TraverseInstanceProxies())
-        if stage.shown(p) and p.IsA(pxr("UsdGeom").Xformable)
+        if stage.is_visible(p) and p.IsA(pxr("UsdGeom").Xformable)
     ]
 
 
 def _of_kind(stage: OpenStage, kind: str) -> list[Any]:
     """Return the prims below that declare a kind. If none has it, raise UsdError that lists the existing kinds."""
-    found: list[Any] = []
+    prims: list[Any] = []
     others: set[str] = set()
     for prim in stage.below(stage.prim):
         attribute = prim.GetAttribute(f"{_USER}:kind")
         word = attribute.Get(stage.first) if attribute and attribute.HasValue() else None
         if word is not None and str(word) == kind and prim.IsA(pxr("UsdGeom").Xformable):
-            found.append(prim)
-        elif word is not None and len(others) < _KINDS_TOLD:
+            prims.append(prim)
+        elif word is not None and len(others) < _MOST_KINDS:
             others.add(str(word)[: limits.NAME_CHARACTERS])
-    if found:
-        return found
+    if prims:
+        return prims
     where, near = stage.prim.GetPath(), nearest_name(kind, others)
     if near:
         help = f"did you mean `kind: {near}`?"
@@ -135,7 +135,7 @@ def _of_kind(stage: OpenStage, kind: str) -> list[Any]:
 
 def _empty(stage: OpenStage, prim: Any) -> UsdPoints:
     """Return a prim that is only a place: an Xform, a locator, an empty of Blender."""
-    ways = stage.matrices(prim, stage.travels(prim))
+    transforms = stage.matrices(prim, stage.travels(prim))
     values = _numbers(stage, prim, 1)
     texts: dict[str, tuple[str, ...]] = {}
     for attribute in prim.GetAuthoredPropertiesInNamespace(_USER):
@@ -148,5 +148,11 @@ def _empty(stage: OpenStage, prim: Any) -> UsdPoints:
         elif isinstance(value, str) and len(value) <= limits.NAME_CHARACTERS:
             texts[name] = (value,)
     return UsdPoints(
-        (prim.GetName(),), ways[:, None, :, 3], np.full(1, np.nan), values, texts, ways[:1, :, 0], scale(stage.to_scene)
+        (prim.GetName(),),
+        transforms[:, None, :, 3],
+        np.full(1, np.nan),
+        values,
+        texts,
+        transforms[:1, :, 0],
+        scale(stage.to_scene),
     )

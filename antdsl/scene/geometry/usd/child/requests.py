@@ -35,22 +35,22 @@ def open_stage(request: Message) -> Answer:
 def read_mesh(request: Message) -> Answer:
     """Answer with `vertices`, `faces`, `moves:…` if the mesh moves, `value:N` for the Nth of `primvars`, and `passed_over`."""
     names = [str(name) for name in request.document["primvars"]]
-    found = joined_mesh(stages.open_stage(request), names)
-    moves = {f"moves:{name}": array for name, array in (found.moves or {}).items()}
-    values = {f"value:{number}": found.values[name] for number, name in enumerate(names)}
-    return {"passed_over": found.passed_over}, {"vertices": found.vertices, "faces": found.faces} | moves | values
+    mesh = joined_mesh(stages.open_stage(request), names)
+    moves = {f"moves:{name}": array for name, array in (mesh.moves or {}).items()}
+    values = {f"value:{number}": mesh.values[name] for number, name in enumerate(names)}
+    return {"passed_over": mesh.passed_over}, {"vertices": mesh.vertices, "faces": mesh.faces} | moves | values
 
 
 @guarded
 def read_points(request: Message) -> Answer:
     """Answer with `names`, `places`, `radius`, `ahead`; `value:N` and `text:N` for the Nth of `values` and `texts`; `unit`."""
-    found = point_arrays(stages.open_stage(request), request.document["of_kind"])
-    arrays = {"places": found.places, "radius": found.radius, "ahead": found.ahead}
-    arrays |= {f"value:{number}": array for number, array in enumerate(found.values.values())}
-    for number, texts in enumerate(found.texts.values()):
+    points = point_arrays(stages.open_stage(request), request.document["of_kind"])
+    arrays = {"places": points.positions, "radius": points.radius, "ahead": points.ahead}
+    arrays |= {f"value:{number}": array for number, array in enumerate(points.values.values())}
+    for number, texts in enumerate(points.texts.values()):
         arrays |= pack_texts(f"text:{number}", texts)
-    arrays |= pack_texts("names", found.names)
-    return {"unit": found.unit, "values": list(found.values), "texts": list(found.texts)}, arrays
+    arrays |= pack_texts("names", points.names)
+    return {"unit": points.unit, "values": list(points.values), "texts": list(points.texts)}, arrays
 
 
 @guarded
@@ -68,21 +68,21 @@ def read_camera(request: Message) -> Answer:
 def camera_arrays(stage: OpenStage) -> dict[str, Floats]:
     """The camera that the prim is, or the only one below it: `at`, `look_at`, `up` (frames, 3) and `focal` (frames,)."""
     geom = pxr("UsdGeom")
-    found = [prim for prim in stage.below(stage.prim) if prim.IsA(geom.Camera)]
-    if len(found) != 1:
+    cameras = [prim for prim in stage.below(stage.prim) if prim.IsA(geom.Camera)]
+    if len(cameras) != 1:
         path = stage.prim.GetPath()
-        words = f"there is no camera at or below `{path}`" if not found else f"below `{path}` are {len(found)} cameras"
-        help = ", ".join(f"`{prim.GetPath()}`" for prim in found[:4])
-        raise UsdError("no-such-prim", words, f"name one of them: {help}" if found else "name a prim of the type Camera")
-    prim, camera = found[0], geom.Camera(found[0])
+        words = f"there is no camera at or below `{path}`" if not cameras else f"below `{path}` are {len(cameras)} cameras"
+        help = ", ".join(f"`{prim.GetPath()}`" for prim in cameras[:4])
+        raise UsdError("no-such-prim", words, f"name one of them: {help}" if cameras else "name a prim of the type Camera")
+    prim, camera = cameras[0], geom.Camera(cameras[0])
     attributes = (camera.GetFocalLengthAttr(), camera.GetHorizontalApertureAttr(), camera.GetFocusDistanceAttr())
     changes = len(stage.times) > 1 and any(a.ValueMightBeTimeVarying() for a in attributes)
-    ways = stage.matrices(prim, stage.travels(prim))
-    times = stage.times if changes or len(ways) > 1 else stage.times[:1]
-    ways = np.broadcast_to(ways, (len(times), 3, 4))
+    transforms = stage.matrices(prim, stage.travels(prim))
+    times = stage.times if changes or len(transforms) > 1 else stage.times[:1]
+    transforms = np.broadcast_to(transforms, (len(times), 3, 4))
     lens = np.array([[float(a.Get(pxr("Usd").TimeCode(time))) for a in attributes] for time in times])
     unit = scale(stage.to_scene)
-    at, ahead, up = ways[:, :, 3], -vector_rows.unit(ways[:, :, 2]), vector_rows.unit(ways[:, :, 1])
+    at, ahead, up = transforms[:, :, 3], -vector_rows.unit(transforms[:, :, 2]), vector_rows.unit(transforms[:, :, 1])
     far = np.where(lens[:, 2] > 0, lens[:, 2] * unit, _AHEAD)[:, None]
     # both are in tenths of the stage's unit, so that their ratio is free of it
     focal = lens[:, 0] / np.where(lens[:, 1] > 0, lens[:, 1], 20.955) * _SENSOR

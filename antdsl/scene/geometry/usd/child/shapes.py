@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from antdsl import limits
 from antdsl.reader.sandbox import allow_memory
-from antdsl.scene.geometry.matrices import after
+from antdsl.scene.geometry.matrices import compose
 from antdsl.scene.geometry.usd.child.stage import Floats, OpenStage, column_matrix
 from antdsl.scene.geometry.usd.errors import UsdError, pxr
 
@@ -23,7 +23,7 @@ class Placed:
     """A mesh prim, and its transforms into the scene: matrices (places, frames, 3, 4), one frame if none of them moves."""
 
     prim: Any
-    ways: Floats
+    transforms: Floats
 
 
 @dataclass(slots=True)
@@ -35,14 +35,14 @@ class Count:
     instances: int = 0
     meshes: int = 0
 
-    def instance(self, more: int) -> None:
+    def instance(self, count: int) -> None:
         """Add the instances of one instancer at all its own places. Raises UsdError above the limit."""
-        self.instances += more
+        self.instances += count
         self._check(self.instances, "instances")
 
-    def mesh(self, more: int) -> None:
+    def mesh(self, count: int) -> None:
         """Add the places of one mesh."""
-        self.meshes += more
+        self.meshes += count
         self._check(self.meshes, "instances of meshes")
 
     def _check(self, total: int, what: str) -> None:
@@ -65,12 +65,12 @@ def other_shapes(stage: OpenStage) -> list[str]:
     """Return the types of the shapes at or below the prim that are not meshes and are not read."""
     geom = pxr("UsdGeom")
     read = (geom.Mesh, geom.PointInstancer, geom.Curves, geom.Points)
-    found = {str(p.GetTypeName()) for p in stage.below(stage.prim) if p.IsA(geom.Gprim) and not any(p.IsA(k) for k in read)}
-    return sorted(found)
+    type_names = {str(p.GetTypeName()) for p in stage.below(stage.prim) if p.IsA(geom.Gprim) and not any(p.IsA(k) for k in read)}
+    return sorted(type_names)
 
 
-def _instances(stage: OpenStage, prim: Any, ways: Floats, count: Count, depth: int) -> Iterator[Placed]:
-    """Yield the meshes that a point instancer places. `ways` transform from the instancer's space to the scene."""
+def _instances(stage: OpenStage, prim: Any, transforms: Floats, count: Count, depth: int) -> Iterator[Placed]:
+    """Yield the meshes that a point instancer places. `transforms` transform from the instancer's space to the scene."""
     if depth > _NESTED:
         raise UsdError("too-large", f"`{prim.GetPath()}` has point instancers more than {_NESTED} deep in each other")
     instancer = pxr("UsdGeom").PointInstancer(prim)
@@ -81,26 +81,26 @@ def _instances(stage: OpenStage, prim: Any, ways: Floats, count: Count, depth: i
     roots = [prim.GetStage().GetPrimAtPath(path) for path in instancer.GetPrototypesRel().GetForwardedTargets()]
     if index.min() < 0 or index.max() >= len(roots):
         raise UsdError("bad-usd", f"`{prim.GetPath()}` names a prototype that it does not have")
-    count.instance(len(index) * len(ways))
+    count.instance(len(index) * len(transforms))
     own = _transforms(stage, instancer, len(index))
     for number, root in enumerate(roots):
         of_this = np.flatnonzero(chosen & (index == number))
         if root and len(of_this):
-            inside = _together(ways, own[of_this])
-            for found, way in _prototype(stage, root):
-                whole = _together(inside, way[None])
-                if found.IsA(pxr("UsdGeom").Mesh):
-                    count.mesh(len(whole))
-                    yield Placed(found, whole)
+            inside = _together(transforms, own[of_this])
+            for child, transform in _prototype(stage, root):
+                child_transforms = _together(inside, transform[None])
+                if child.IsA(pxr("UsdGeom").Mesh):
+                    count.mesh(len(child_transforms))
+                    yield Placed(child, child_transforms)
                 else:
-                    yield from _instances(stage, found, whole, count, depth + 1)
+                    yield from _instances(stage, child, child_transforms, count, depth + 1)
 
 
 def _together(outer: Floats, inner: Floats) -> Floats:
     """Apply every outer transform after every inner one: (a, f, 3, 4) and (b, g, 3, 4) to (a·b, max(f, g), 3, 4)."""
     check_bytes(len(outer) * len(inner) * max(outer.shape[1], inner.shape[1]) * 96, "instances")
-    made = after(outer[:, None], inner[None])
-    return made.reshape(-1, *made.shape[2:])
+    composed = compose(outer[:, None], inner[None])
+    return composed.reshape(-1, *composed.shape[2:])
 
 
 def _unmasked(stage: OpenStage, instancer: Any, count: int) -> NDArray[np.bool_]:
@@ -118,7 +118,7 @@ def _transforms(stage: OpenStage, instancer: Any, count: int) -> Floats:
     )
     times = stage.times if moved else stage.times[:1]
     check_bytes(count * len(times) * 96, f"the instances of `{path}`")
-    found = np.empty((count, len(times), 3, 4))
+    transforms = np.empty((count, len(times), 3, 4))
     first = list(instancer.GetProtoIndicesAttr().Get(stage.first))
     for k, time in enumerate(times):
         code = usd.TimeCode(time)
@@ -130,8 +130,8 @@ def _transforms(stage: OpenStage, instancer: Any, count: int) -> Floats:
         if len(matrices) != count:
             raise UsdError("bad-usd", f"`{path}` has not one position for each of its {count:,} instances")
         rows = np.array(matrices, np.float64).reshape(count, 4, 4)
-        found[:, k] = rows[:, :, :3].transpose(0, 2, 1)
-    return found
+        transforms[:, k] = rows[:, :, :3].transpose(0, 2, 1)
+    return transforms
 
 
 BAKE = "write it out with one set of faces for all frames, or name a part that keeps its faces"
@@ -161,12 +161,12 @@ def _relative(stage: OpenStage, prim: Any, root: Any) -> Floats:
     while above and above != root:
         moved |= bool(geom.Xformable(above)) and geom.Xformable(above).TransformMightBeTimeVarying()
         above = above.GetParent()
-    cache, found = geom.XformCache(), []
+    cache, matrices = geom.XformCache(), []
     for time in stage.times if moved else stage.times[:1]:
         cache.SetTime(pxr("Usd").TimeCode(time))
         matrix = pxr("Gf").Matrix4d(1.0) if prim == root else cache.ComputeRelativeTransform(prim, root)[0]
-        found.append(column_matrix(matrix))
-    return np.array(found)
+        matrices.append(column_matrix(matrix))
+    return np.array(matrices)
 
 
 def check_bytes(size: int, what: str) -> None:

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl import limits
-from antdsl.scene.geometry.matrices import after
+from antdsl.scene.geometry.matrices import compose
 from antdsl.scene.geometry.usd.child.guard import Answer, guarded
 from antdsl.scene.geometry.usd.errors import UsdError, plain_words, pxr, words_of
 
@@ -40,7 +40,7 @@ class OpenStage:
     def first(self) -> Any:
         return pxr("Usd").TimeCode(self.times[0])
 
-    def shown(self, prim: Any) -> bool:
+    def is_visible(self, prim: Any) -> bool:
         """Return whether a prim has the requested purpose and is visible at the first frame."""
         image = pxr("UsdGeom").Imageable(prim)
         if not image:
@@ -52,14 +52,14 @@ class OpenStage:
         instancers."""
         usd, geom = pxr("Usd"), pxr("UsdGeom")
         walk = iter(usd.PrimRange(prim, usd.TraverseInstanceProxies()))
-        for found in walk:
-            if not self.shown(found):
-                if geom.Imageable(found).ComputeVisibility(self.first) == "invisible":
+        for descendant in walk:
+            if not self.is_visible(descendant):
+                if geom.Imageable(descendant).ComputeVisibility(self.first) == "invisible":
                     walk.PruneChildren()
                 continue
-            if found.IsA(geom.PointInstancer):
+            if descendant.IsA(geom.PointInstancer):
                 walk.PruneChildren()
-            yield found
+            yield descendant
 
     def matrices(self, prim: Any, every: bool) -> Floats:
         """Return the transform from a prim's own space to the scene (frames, 3, 4), at all frames, or only at the first if
@@ -69,7 +69,7 @@ class OpenStage:
         for time in self.times if every else self.times[:1]:
             cache.SetTime(pxr("Usd").TimeCode(time))
             found.append(column_matrix(cache.GetLocalToWorldTransform(prim)))
-        return after(self.to_scene, np.array(found))
+        return compose(self.to_scene, np.array(found))
 
     def travels(self, prim: Any) -> bool:
         """Whether a prim's place may change over time."""
@@ -122,9 +122,9 @@ def _opened(path: str, folder: str, text: str, prim: str, up: str, purpose: str,
         own = os.path.realpath(str(layer.identifier).partition("[")[0])
         if not layer.anonymous and not own.startswith(folder + os.sep):
             raise UsdError("bad-path", f"`{text}` uses a file that is not below the granted roots", None, "usd")
-    found = stage.GetPrimAtPath(place)
-    if not found or not found.IsActive():
-        raise _no_such_prim(top, text, place, bool(found))
+    stage_prim = stage.GetPrimAtPath(place)
+    if not stage_prim or not stage_prim.IsActive():
+        raise _no_such_prim(top, text, place, bool(stage_prim))
     problems = stage.GetCompositionErrors()
     if problems:
         raise UsdError("bad-usd", f"`{text}` does not hold together: {plain_words(str(problems[0]), folder)}", None, "usd")
@@ -136,16 +136,16 @@ def _opened(path: str, folder: str, text: str, prim: str, up: str, purpose: str,
             words = f"`{text}` says `{name} = {value:g}`, which cannot be"
             raise UsdError("bad-usd", words, f"give it a `{name}` above 0", "usd")
     times = tuple(float(Fraction(frame) / fps) * rate for frame in frames)
-    return OpenStage(found, _to_scene(factor, str(geom.GetStageUpAxis(stage)).lower(), up), times, purpose, stage)
+    return OpenStage(stage_prim, _to_scene(factor, str(geom.GetStageUpAxis(stage)).lower(), up), times, purpose, stage)
 
 
 def _count_prims(stage: Any, text: str, prim: str) -> None:
     usd = pxr("Usd")
-    for number, found in enumerate(usd.PrimRange(stage.GetPseudoRoot(), usd.TraverseInstanceProxies())):
+    for number, descendant in enumerate(usd.PrimRange(stage.GetPseudoRoot(), usd.TraverseInstanceProxies())):
         if number >= limits.USD_PRIMS:
             words = f"`{text}` comes to more than {limits.USD_PRIMS:,} prims for `{prim}`"
             raise UsdError("too-large", words, "name a smaller part of it")
-        if found.GetPath().pathElementCount > limits.USD_LEVELS:
+        if descendant.GetPath().pathElementCount > limits.USD_LEVELS:
             words = f"`{text}` comes to prims more than {limits.USD_LEVELS} levels deep for `{prim}`"
             raise UsdError("bad-usd", words, "name a smaller part of it")
 
@@ -178,8 +178,8 @@ def _no_such_prim(layer: Any, text: str, path: Any, inactive: bool) -> UsdError:
             break
         above = above.GetParentPath()
     names = [child.GetName() for child in parent.GetFilteredChildren(usd.PrimAllPrimsPredicate)][:200] if parent else []
-    wanted = str(path).removeprefix(str(above)).strip("/").split("/")[0]
-    near = nearest_name(wanted, names)
+    missing_name = str(path).removeprefix(str(above)).strip("/").split("/")[0]
+    near = nearest_name(missing_name, names)
     if near:
         help: str | None = f"did you mean `{above.AppendChild(near)}`?"
     else:
@@ -195,12 +195,12 @@ def read_layer(request: Message) -> Answer:
     said = request.document
     path, folder, text = (str(said[key]) for key in ("path", "folder", "text"))
     layer = opened_layer(path, folder, text)
-    found: list[Any] = []
-    layer.Traverse(pxr("Sdf").Path.absoluteRootPath, found.append)
-    if any(place.pathElementCount > limits.USD_LEVELS for place in found):
+    spec_paths: list[Any] = []
+    layer.Traverse(pxr("Sdf").Path.absoluteRootPath, spec_paths.append)
+    if any(place.pathElementCount > limits.USD_LEVELS for place in spec_paths):
         words = f"`{text}` cannot be read as USD: it has prims more than {limits.USD_LEVELS} levels deep"
         raise UsdError("bad-usd", words, "flatten its hierarchy", "usd")
-    for place in found:
+    for place in spec_paths:
         if place.IsPrimPath() or place.IsPrimVariantSelectionPath():
             spec = layer.GetObjectAtPath(place)
             if spec is not None and spec.HasInfo("clips"):
