@@ -155,7 +155,7 @@ def test_what_is_left_of_broken_lines() -> None:
     assert len(report.errors) == 10
     (species,) = file.items
     names = {(type(m).__name__, m.name.text) for m in species.members if hasattr(m, "name")}
-    assert names == {("Given", "size"), ("Let", "meal"), ("State", "s"), ("State", "t")}
+    assert names == {("AnimalProperty", "size"), ("Let", "meal"), ("State", "s"), ("State", "t")}
     assert [m.declaration.name.text for m in species.members if isinstance(m, n.ParamDecl)] == ["reach"]
     first, second = [m for m in species.members if isinstance(m, n.State)]
     assert [type(part).__name__ for part in first.body] == ["Steer", "Change", "Change", "Steer", "Change"]

@@ -87,7 +87,7 @@ def _settable(scope: Scope, member: nodes.AnimalProperty) -> bool:
             _belongs(name.text) or did_you_mean(name.text, known, f"an attribute of your own is written `{name.text} = {text}`"),
         )
         is_known_missing(scope, "name", name)  # it was to be declared here
-    value(scope.inside(once=True), member.value)
+    value(scope.inside(runs_once=True), member.value)
     return False
 
 
@@ -107,7 +107,7 @@ def names_state(scope: Scope, word: str) -> bool:
 def _attribute(scope: Scope, node: nodes.Declaration | nodes.AnimalProperty, circular: bool) -> model.AttributeDecl:
     names, name = scope.species, node.name.text
     assert names is not None
-    inner = scope.inside(keys=Keys(f"{names.name}.{name}"), no_let=_EARLY, once=True)
+    inner = scope.inside(keys=Keys(f"{names.name}.{name}"), no_let=_EARLY, runs_once=True)
     help = node.help.text if node.help else ""
     if isinstance(node, nodes.AnimalProperty):
         type = type_from_words(BUILTIN_ATTRIBUTES[name].type) or BAD

@@ -251,7 +251,7 @@ def _target(scope: Scope, names: MachineNames, target: nodes.Target) -> int | No
 def _choices(scope: Scope, names: MachineNames, target: nodes.Target) -> tuple[tuple[int, Expr], ...]:
     choices: list[tuple[int, Expr]] = []
     for choice in target.choices:
-        weight = value_of_type(scope.inside(once=True), choice.weight, NUMBER, f"the weight of `{choice.target.text}`")
+        weight = value_of_type(scope.inside(runs_once=True), choice.weight, NUMBER, f"the weight of `{choice.target.text}`")
         constant = constant_behind(weight)
         if constant is not None and constant.number < 0:
             scope.report.error(

@@ -23,7 +23,7 @@ from antdsl.syntax import nodes
 
 def statements(scope: Scope, lines: Iterable[object], block: Block) -> tuple[model.Statement, ...]:
     """Return the statements of a block in text order, without those that have errors."""
-    scope = scope.inside(once=not block.body)
+    scope = scope.inside(runs_once=not block.body)
     checked_statements: list[model.Statement] = []
     assigned: dict[str, Span] = {}
     for line in lines:
@@ -205,7 +205,7 @@ def take(scope: Scope, line: nodes.Take) -> model.Take | None:
     amount = None
     if line.amount is not None:
         amount = value_of_type(
-            scope.inside(once=True), line.amount, own or NUMBER, " ".join(("`take …", f"{called}`" if called else "`"))
+            scope.inside(runs_once=True), line.amount, own or NUMBER, " ".join(("`take …", f"{called}`" if called else "`"))
         )
         if amount.type.kind is Kind.BAD:
             return None

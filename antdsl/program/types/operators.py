@@ -63,7 +63,7 @@ def faced(scope: Scope, node: nodes.Expr) -> Expr:
 def condition(scope: Scope, node: nodes.Expr, place: str) -> Expr:
     """Return an expression as a bool; an item, agent, hit or set is true if it is not empty."""
     if not scope.runs_once and _mentions_event(scope, node):
-        scope = scope.inside(once=True)
+        scope = scope.inside(runs_once=True)
     return truth(scope, node, value(scope, node, BOOL), place)
 
 
