@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 
 from antdsl.casting.grid_rays import AHEAD, Grid, fetch_rays, first_hit
-from antdsl.casting.tolerances import FURTHER
+from antdsl.casting.ray_walks import Rings, fetch_start, walked_hit
+from antdsl.casting.tolerances import FURTHER, UNSURE
 from antdsl.machine_code.kernels import (
     BOOL,
     F32,
@@ -37,6 +38,8 @@ NEAR = 0.3  # of a leg: a hit so near to the wanted place is used
 BEYOND = 1.6  # times the way to the wanted place: how far the first ray goes
 _LOWEST = 0.2  # of a leg: the least height above a wanted place from which it is looked for
 
+# Where walks of rays begin: a number of the floor times 2 ** FACE_BITS plus a face, -1 for no mesh that has such.
+FACE_BITS, FACE = 32, 0xFFFFFFFF
 Hits = tuple[Array1[F64], Array2[F64], Array1[I16], Array1[I32], Array2[F64]]  # as `Found`
 # Hip, wanted place, up of the body, how far the foot joint may be from the hip, and how high it is above its ground.
 Seekers = tuple[Array2[F64], Array2[F64], Array2[F64], Array1[F64], Array1[F64]]
@@ -49,20 +52,21 @@ def aim(
     covered: Array3[F32],
     measures: tuple[Legs, Array2[F64]],
     trunks: Trunks,
-    targets: tuple[Array2[F32], Array2[F32], Array2[F32]],
-    what: Array2[U8],
+    targets: tuple[Array2[F32], Array2[F32], Array2[F32], Array2[U8]],
+    standing: Array1[I64],
     seekers: Seekers,
-    ways: Array2[F64],
+    rays: tuple[Array2[F64], Array1[I64]],
     quick: Array1[BOOL],
     begin: I64,
     end: I64,
 ) -> None:
     """Where hips will be when feet land, the places that these want, and the first ray between them, of requests (agent times L
-    plus leg) from `begin` to before `end`. `measures`: as `Gaits.legs` and `Gaits.exact`. `quick`: the foot lifts, and looks
-    again when it lands."""
+    plus leg) from `begin` to before `end`. `measures`: as `Gaits.legs` and `Gaits.exact`. `standing`: the starts of agents, for
+    those of `rays`. `quick`: the foot lifts, and looks again when it lands."""
     legs, exact = measures
     count = legs.shape[1]
-    target_x, target_z, left = targets
+    target_x, target_z, left, what = targets
+    ways, starts = rays
     hips, wanted, ups, longest, soles = seekers
     for k in range(begin, end):
         i, leg = requests[k] // count, requests[k] % count
@@ -79,33 +83,43 @@ def aim(
             hips[axis, k], wanted[axis, k], ups[axis, k] = hip, goal, up[axis]
             ways[axis, k] = (goal - hip) * BEYOND
         longest[k], soles[k] = exact[0, leg] * size * REACHED, exact[1, leg] * size
-        quick[k] = what[leg, i] == LIFTS
+        quick[k], starts[k] = what[leg, i] == LIFTS, standing[i]
 
 
 @kernel
 def cast(
     grid: Grid,
+    rings: Rings,
     box: tuple[Array1[F64], Array1[F64]],
     number: I64,
     origins: Array2[F64],
     ways: Array2[F64],
+    starts: Array1[I64],
     hits: Hits,
     far: Array1[I64],
     begin: I64,
     end: I64,
 ) -> tuple[I64, I64]:
     """Put what rays from `begin` to before `end` hit of a mesh, the floor's `number`, where that is nearer than `hits` so far.
+    Those with `starts` on the mesh walk, if it has `rings`; where that cannot answer, and without, they search the grid.
     Into `far`, from `begin` on: the rays that are too long for the grid. Returns where they begin, and how many there are."""
     shape, (low, high), count = grid[0], box, 0
-    zero = shape[6], shape[7], shape[8]
-    part, place, on, face, weight = hits
+    zero, many = (shape[6], shape[7], shape[8]), rings[0].shape[0]
     cells, rays, near = scratch(2 * AHEAD, I64), scratch(AHEAD, I64), 0
     for k in range(begin, end + 1):
+        if k + AHEAD < end and many > 0 and starts[k + AHEAD] >> FACE_BITS == number:
+            fetch_start(grid, rings, starts[k + AHEAD] & FACE)
         if k < end:
             inside = True
             for axis in range(3):
                 tail, head = origins[axis, k], origins[axis, k] + ways[axis, k]
                 inside = inside and min(tail, head) <= high[axis] and max(tail, head) >= low[axis]
+            if inside and many > 0 and starts[k] >> FACE_BITS == number:
+                a, w = of(origins, k), of(ways, k)
+                t, named = walked_hit(grid, rings, starts[k] & FACE, minus(a, zero), w)
+                inside = named == UNSURE
+                if named >= 0:
+                    _put_hit(hits, k, number, t, a, w)
             if inside:
                 rays[near] = k
                 near += 1
@@ -118,12 +132,19 @@ def cast(
                 if named == FURTHER:
                     far[begin + count] = ray
                     count += 1
-                elif named >= 0 and t < part[ray]:
-                    part[ray], on[ray], face[ray], weight[0, ray], weight[1, ray] = t, number, 0, 0.0, 0.0
-                    for axis in range(3):
-                        place[axis, ray] = a[axis] + w[axis] * t
+                elif named >= 0:
+                    _put_hit(hits, ray, number, t, a, w)
             near = 0
     return begin, count
+
+
+@inlined
+def _put_hit(hits: Any, k: Any, number: Any, t: Any, a: Any, w: Any) -> None:
+    """Put what ray `k` hits of a mesh after part `t` of its way `w` from `a`, where that is nearer."""
+    part, place, on, face, weight = hits
+    if t < part[k]:
+        part[k], on[k], face[k], weight[0, k], weight[1, k] = t, number, 0, 0.0, 0.0
+        put(place, k, (a[0] + w[0] * t, a[1] + w[1] * t, a[2] + w[2] * t))
 
 
 @kernel

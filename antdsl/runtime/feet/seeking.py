@@ -19,9 +19,10 @@ from antdsl.ground.solid_feelers import SolidFeelers
 from antdsl.numerics import parallel
 from antdsl.numerics import vectors as vec
 from antdsl.runtime.feet import footholds
+from antdsl.runtime.feet.footholds import FACE_BITS
 from antdsl.runtime.feet.state import NOTHING, PLANE
 from antdsl.runtime.moving.moving_geometry import vertices_at
-from antdsl.runtime.world import World
+from antdsl.runtime.world import Population, World
 
 Places = NDArray[np.float64]  # (3, k)
 Rows = NDArray[np.int64]
@@ -29,6 +30,7 @@ Arrays = tuple[NDArray[Any], ...]
 
 _SHY = 1e-6  # of a way: how much shorter it is when it is asked whether something is on it
 _RAYS = 256  # for which a thread pays
+_NO_RINGS = np.empty((0, 3), np.int32), np.empty((0, 4), np.float32)
 
 
 @dataclass(slots=True, eq=False)
@@ -77,10 +79,25 @@ class Floor:
             for k, name in enumerate(self.names)
             if name in self.meshes and k not in self.moving and len(self.meshes[name].vertices)
         }
+        # By number of the ground, what starts of walks have above their faces.
+        self._numbers = np.array(
+            [self.names.index(name) << FACE_BITS if name in self.meshes else -1 for name in world.ground.names], np.int64
+        )
+        self._walked: set[int] = set()  # numbers of meshes that agents stand on
 
-    def cast(self, world: World, origin: Places, way: Places, most_hit: bool = True) -> Found:
-        """What the straight lines from `origin` by `way` hit first. `most_hit`: whether most are expected to end on what bodies
-        walk on, so that Open3D need not test first which do; the answer is the same."""
+    def starts(self, population: Population) -> Rows:
+        """The faces below agents by id, from which rays near their bodies walk: as `footholds.FACE_BITS` describes."""
+        order, columns = population.in_id_order(), population.footing.columns
+        if "face" not in columns or not self._numbers.size:
+            return np.full(len(order), -1)
+        mesh, face = columns["mesh"][order], columns["face"][order]
+        number = np.where(mesh >= 0, self._numbers[mesh], -1)
+        self._walked.update((self._numbers[np.flatnonzero(np.bincount(mesh + 1)[1:])] >> FACE_BITS).tolist())
+        return np.where(number >= 0, number | face, -1)
+
+    def cast(self, world: World, origin: Places, way: Places, starts: Rows, most_hit: bool = True) -> Found:
+        """What the straight lines from `origin` by `way` hit first. `starts`: faces near the origins, or -1. `most_hit`: most are
+        expected to end on what bodies walk on, so that Open3D need not test first which do. Neither changes an answer."""
         found, threads = Found.none(origin.shape[1]), world.options.threads
         if isinstance(world.ground, Plane):
             _on_plane(world, origin, way, found)
@@ -90,11 +107,12 @@ class Floor:
             if box is None:
                 continue
             tables = seen.tables() if isinstance(seen, RayScene) and k not in self.moving else None
-            if tables is None:
+            if not isinstance(seen, RayScene) or tables is None:
                 near = _meeting(box, origin, way)
             else:
                 far = np.empty(len(found.part), np.int64)
-                work = partial(footholds.cast, tables, box, k, origin, way, found.columns, far)
+                rings = (seen.rings(threads) if k in self._walked else None) or _NO_RINGS
+                work = partial(footholds.cast, tables, rings, box, k, origin, way, starts, found.columns, far)
                 near = parallel.joined(parallel.in_parts(work, len(far), threads, _RAYS), far)[0]
             if not near.size:
                 continue
@@ -174,11 +192,13 @@ class Floor:
 class Seeking:
     """Feet that need ground: `requests` int64[k], the number of the agent times L plus that of the leg; `columns`: hip, wanted
     place and up of the body, (3, k), how far the foot joint may be from the hip (mm), and how high it is above its ground;
-    `way` (3, k): from the hip past the wanted place. `is_quick`: the foot lifts, and looks again when it lands."""
+    `way` (3, k): from the hip past the wanted place; `starts` as `Floor.starts`. `is_quick`: the foot lifts, and looks again when
+    it lands."""
 
     requests: Rows
     columns: Arrays
     way: Places
+    starts: Rows
     is_quick: NDArray[np.bool_]
 
     @staticmethod
@@ -187,8 +207,8 @@ class Seeking:
         count = len(requests)
         room = np.empty((14, count))
         columns = room[:3], room[3:6], room[6:9], room[12], room[13]
-        made = Seeking(requests, columns, room[9:12], np.empty(count, np.bool_))
-        work = partial(footholds.aim, requests, *given, columns, made.way, made.is_quick)
+        made = Seeking(requests, columns, room[9:12], np.empty(count, np.int64), np.empty(count, np.bool_))
+        work = partial(footholds.aim, requests, *given, columns, (made.way, made.starts), made.is_quick)
         parallel.in_parts(work, count, threads, _RAYS)
         return made
 
@@ -201,7 +221,7 @@ class Seeking:
 def seek(world: World, floor: Floor, seeking: Seeking) -> Found:
     """Ground for feet. Quick ones have only what is on the straight line, wherever that is."""
     threads, count = world.options.threads, len(seeking.requests)
-    found = floor.cast(world, seeking.columns[0], seeking.way)
+    found = floor.cast(world, seeking.columns[0], seeking.way, seeking.starts)
     fits, rows = np.empty(count, np.bool_), np.empty(count, np.int64)
     work = partial(footholds.judge, seeking.columns, found.columns, seeking.is_quick, fits, rows)
     (rows,) = parallel.joined(parallel.in_parts(work, count, threads, _RAYS), rows)
@@ -216,8 +236,9 @@ def _look_around(world: World, floor: Floor, seeking: Seeking, found: Found, fit
     room = np.empty((13, count))
     above, to_above, down, hips, reach = room[:3], room[3:6], room[6:9], room[9:12], room[12]
     parallel.in_parts(partial(footholds.look_around, seeking.columns, rows, above, to_above, down, hips), count, threads, _RAYS)
-    level = floor.cast(world, hips, to_above, most_hit=False)
-    below = floor.cast(world, above, down)
+    starts = seeking.starts[rows]
+    level = floor.cast(world, hips, to_above, starts, most_hit=False)
+    below = floor.cast(world, above, down, starts)
     lost = np.empty(count, np.int64)
     given = seeking.columns, rows, found.columns, fits, level.columns, below.columns, lost, reach
     parts = parallel.in_parts(partial(footholds.choose, *given), count, threads, _RAYS)
@@ -225,7 +246,7 @@ def _look_around(world: World, floor: Floor, seeking: Seeking, found: Found, fit
     if lost.size:
         rows, hips = rows[lost], np.ascontiguousarray(hips[:, lost])
         close = floor.nearest(world, np.ascontiguousarray(seeking.columns[1][:, rows]), reach)
-        seen = floor.cast(world, hips, (close.place - hips) * (1.0 - _SHY))
+        seen = floor.cast(world, hips, (close.place - hips) * (1.0 - _SHY), starts[lost])
         footholds.accept(seeking.columns, rows, close.columns, seen.columns, found.columns, 0, len(rows))
 
 
