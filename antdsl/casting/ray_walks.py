@@ -11,7 +11,7 @@ are those of the grid, to the bit, from whichever face the walk begins."""
 from __future__ import annotations
 
 from functools import partial
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,9 +39,11 @@ from antdsl.numerics.kernel_vectors import Vec3, cross, dot, minus, plus
 if TYPE_CHECKING:
     from antdsl.casting.faces import Faces
 
-Rings = tuple[Array2[I32], Array2[F32]]  # as `find_rings`
+Rings = tuple[Array3[F64], Array2[I32], Array2[F32]]  # as `find_rings`
+Arrays = tuple[NDArray[Any], ...]
 Corners = tuple[Array1[I64], Array1[I64], Array1[I64], Array1[BOOL]]
 
+LINK, BALL = 24, 28  # columns of rows, of four bytes each
 _SEARCH, _WALK = 4, 3  # faces that are searched for the beginning, and that a walk passes: all are in the ring of the first
 _SURE = 1e-4  # weight by which a ray must be inside of a face
 _FLAT = 0.2  # least cosine of the angle between a face and one of its ring
@@ -50,12 +52,17 @@ _ROUNDING = 1 + 1e-5  # more than float32 makes of a square
 _FACES = 512  # for which a thread pays
 
 
-def find_rings(faces: Faces, grid: Grid, lasting: bool, threads: int = 1) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
-    """The face across each side int32[m,3], opposite of each corner, -1 for none; and the balls of faces float32[m,4]: middle and
-    square of the radius, 0 where the ring is open or not flat. `lasting`: whether another run may request the same."""
+def find_rings(faces: Faces, grid: Grid, lasting: bool, threads: int = 1) -> Arrays:
+    """A row of two cache lines for each face, as three views: its planes, float64[m,4,4]; at LINK the face across each side,
+    opposite of each corner, -1 for none, int32[m,32]; and at BALL middle and square of the radius, which is 0 where the ring is
+    open or not flat, float32[m,32]. `lasting`: whether another run may request the same."""
     count = len(faces.corners) if lasting else 0
-    found = stored_tables.stored("rings", count, (faces.corners, *grid[0][:5]), partial(_rings, faces, grid, threads))
-    return found["links"], found["balls"]
+    tables = stored_tables.stored("rings", count, (faces.corners, *grid[0][:5]), partial(_rings, faces, grid, threads))
+    space = np.zeros(16 * len(faces.corners) + 8)
+    rows = space[-space.ctypes.data % 64 // 8 :][: 16 * len(faces.corners)].reshape(-1, 4, 4)
+    links, balls = (rows.reshape(-1, 16).view(kind) for kind in (np.int32, np.float32))
+    rows[:, :3], links[:, LINK : LINK + 3], balls[:, BALL:] = grid[5], tables["links"], tables["balls"]
+    return rows, links, balls
 
 
 def _rings(faces: Faces, grid: Grid, threads: int) -> stored_tables.Tables:
@@ -76,17 +83,17 @@ def _rings(faces: Faces, grid: Grid, threads: int) -> stored_tables.Tables:
 
 
 def _links(weld: NDArray[np.int64]) -> NDArray[np.int32]:
-    """The face across each side, of faces (m, 3) by numbers of corners, where two faces are there that are wound alike."""
+    """The face across each side, of faces (m, 3) by numbers of corners, that has just two faces, wound alike."""
     one, two = np.roll(weld, -1, axis=1).ravel(), np.roll(weld, -2, axis=1).ravel()
     key = np.minimum(one, two) * (int(weld.max(initial=0)) + 1) + np.maximum(one, two)
     order = np.argsort(key, kind="stable")
     same = key[order[1:]] == key[order[:-1]]
     pair = same & ~np.concatenate(([False], same[:-1])) & ~np.concatenate((same[1:], [False]))
-    here, there = order[:-1][pair], order[1:][pair]
-    alike = one[here] == two[there]
-    here, there = here[alike], there[alike]
+    half, other = order[:-1][pair], order[1:][pair]
+    alike = one[half] == two[other]
+    half, other = half[alike], other[alike]
     link = np.full(len(one), -1, np.int32)
-    link[here], link[there] = there // 3, here // 3
+    link[half], link[other] = other // 3, half // 3
     return link.reshape(-1, 3)
 
 
@@ -151,9 +158,9 @@ def _clearance(grid: Grid, weld: Array1[I64], f: I64, middle: Vec3) -> F64:
     for i in range(max(x - 1, 0), min(x + 1, count[0] - 1) + 1):
         for j in range(max(y - 1, 0), min(y + 1, count[1] - 1) + 1):
             row = (i * count[1] + j) * count[2]
-            low: I64 = first[row + max(z - 1, 0)]
-            high: I64 = first[row + min(z + 1, count[2] - 1) + 1]
-            for k in range(low, high):
+            row_begin: I64 = first[row + max(z - 1, 0)]
+            row_end: I64 = first[row + min(z + 1, count[2] - 1) + 1]
+            for k in range(row_begin, row_end):
                 g = listed[k]
                 ball = np.float64(bound[k, 4]), np.float64(bound[k, 5]), np.float64(bound[k, 6])
                 gap, far = minus(ball, middle), least + np.float64(bound[k, 7]) + shape[4]
@@ -172,19 +179,16 @@ def _has(weld: Array1[I64], f: I64, v: I64) -> BOOL:
 
 
 @inlined
-def fetch_start(grid: Grid, rings: Rings, face: I64) -> None:
+def fetch_start(rings: Rings, face: I64) -> None:
     """Prefetch what a walk reads of its first face."""
-    planes, (links, balls) = grid[5], rings
-    fetch_ahead(links, 3 * face)
-    fetch_ahead(balls, 4 * face)
-    fetch_ahead(planes, 12 * face)
-    fetch_ahead(planes, 12 * face + 8)
+    fetch_ahead(rings[0], 16 * face)
+    fetch_ahead(rings[0], 16 * face + 8)
 
 
 @called
 def walked_hit(grid: Grid, rings: Rings, start: I64, a: Vec3, w: Vec3) -> tuple[F64, I64]:
     """As `first_hit`, by a walk from the face below the origin, which is near `start`; UNSURE where a walk cannot answer."""
-    planes, (links, balls) = grid[5], rings
+    planes, links, balls = rings
     f = _below(planes, links, start, a)
     if f < 0 or not _is_near(balls, f, a):
         return np.inf, UNSURE
@@ -217,7 +221,7 @@ def walked_hit(grid: Grid, rings: Rings, start: I64, a: Vec3, w: Vec3) -> tuple[
             break
         if max(max(min(w0, w1), min(w1, w2)), min(w2, w0)) < _SURE:
             break
-        g = np.int64(links[g, _least_of(w0, w1, w2)])
+        g = np.int64(links[g, LINK + _least_of(w0, w1, w2)])
         count += 1
     return np.inf, UNSURE
 
@@ -232,7 +236,7 @@ def _below(planes: Array3[F64], links: Array2[I32], start: I64, place: Vec3) -> 
         least = min(min(w0, w1), w2)
         if least >= _SURE:
             return f
-        f = np.int64(links[f, _least_of(w0, w1, w2)]) if least < 0 else -1
+        f = np.int64(links[f, LINK + _least_of(w0, w1, w2)]) if least < 0 else -1
         count += 1
     return -1
 
@@ -245,5 +249,6 @@ def _least_of(a: F64, b: F64, c: F64) -> I64:
 @inlined
 def _is_near(balls: Array2[F32], f: I64, place: Vec3) -> BOOL:
     """Whether a place is in the ball of a face."""
-    x, y, z = place[0] - np.float64(balls[f, 0]), place[1] - np.float64(balls[f, 1]), place[2] - np.float64(balls[f, 2])
-    return (x * x + y * y) + z * z < np.float64(balls[f, 3])
+    middle = np.float64(balls[f, BALL]), np.float64(balls[f, BALL + 1]), np.float64(balls[f, BALL + 2])
+    gap = minus(place, middle)
+    return dot(gap, gap) < np.float64(balls[f, BALL + 3])

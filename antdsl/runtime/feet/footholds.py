@@ -66,7 +66,7 @@ def aim(
     legs, exact = measures
     count = legs.shape[1]
     target_x, target_z, left, what = targets
-    ways, starts = rays
+    steps, starts = rays
     hips, wanted, ups, longest, soles = seekers
     for k in range(begin, end):
         i, leg = requests[k] // count, requests[k] % count
@@ -81,7 +81,7 @@ def aim(
             hip = place[axis] + ((a * ahead[axis] + b * up[axis]) + c * aside[axis]) * size
             goal = place[axis] + (to_x * ahead[axis] + to_z * aside[axis]) * size
             hips[axis, k], wanted[axis, k], ups[axis, k] = hip, goal, up[axis]
-            ways[axis, k] = (goal - hip) * BEYOND
+            steps[axis, k] = (goal - hip) * BEYOND
         longest[k], soles[k] = exact[0, leg] * size * REACHED, exact[1, leg] * size
         quick[k], starts[k] = what[leg, i] == LIFTS, standing[i]
 
@@ -108,7 +108,7 @@ def cast(
     cells, rays, near = scratch(2 * AHEAD, I64), scratch(AHEAD, I64), 0
     for k in range(begin, end + 1):
         if k + AHEAD < end and many > 0 and starts[k + AHEAD] >> FACE_BITS == number:
-            fetch_start(grid, rings, starts[k + AHEAD] & FACE)
+            fetch_start(rings, starts[k + AHEAD] & FACE)
         if k < end:
             inside = True
             for axis in range(3):
@@ -119,6 +119,7 @@ def cast(
                 t, named = walked_hit(grid, rings, starts[k] & FACE, minus(a, zero), w)
                 inside = named == UNSURE
                 if named >= 0:
+                    starts[k] = number << FACE_BITS | named
                     _put_hit(hits, k, number, t, a, w)
             if inside:
                 rays[near] = k

@@ -30,7 +30,7 @@ Arrays = tuple[NDArray[Any], ...]
 
 _SHY = 1e-6  # of a way: how much shorter it is when it is asked whether something is on it
 _RAYS = 256  # for which a thread pays
-_NO_RINGS = np.empty((0, 3), np.int32), np.empty((0, 4), np.float32)
+_NO_RINGS = np.empty((0, 4, 4)), np.empty((0, 32), np.int32), np.empty((0, 32), np.float32)
 
 
 @dataclass(slots=True, eq=False)

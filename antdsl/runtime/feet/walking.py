@@ -160,8 +160,8 @@ class _Step:
         """Find ground for feet: the number of the agent times L plus that of the leg."""
         if requests.size:
             feet, gaits, targets = self.feet, self.gaits, self.targets
-            wanted, measures = (*targets[:3], targets[-1]), (gaits.legs, gaits.exact)
-            given = self.bodies, self.covered, measures, self.columns[2], wanted, self.floor.starts(self.population)
+            goals, measures = (*targets[:3], targets[-1]), (gaits.legs, gaits.exact)
+            given = self.bodies, self.covered, measures, self.columns[2], goals, self.floor.starts(self.population)
             seeking = Seeking.of(requests, given, self.threads)
             found = seek(self.world, self.floor, seeking)
             columns = tuple(_legs_first(each) for each in (feet.place, feet.on, feet.face, feet.weight))
