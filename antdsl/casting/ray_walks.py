@@ -32,6 +32,7 @@ from antdsl.machine_code.kernels import (
     fetch_ahead,
     inlined,
     kernel,
+    whole,
 )
 from antdsl.numerics import parallel, stored_tables
 from antdsl.numerics.kernel_vectors import Vec3, cross, dot, minus, plus
@@ -150,16 +151,15 @@ def _clearance(grid: Grid, weld: Array1[I64], f: I64, middle: Vec3) -> F64:
     shape, size, first, listed, bound, corners = grid[0], grid[1], grid[2], grid[3], grid[4], grid[6]
     width, least = shape[3], np.inf
     at = (middle[0] - shape[0]) / width, (middle[1] - shape[1]) / width, (middle[2] - shape[2]) / width
-    x, y, z = np.int64(np.floor(at[0])), np.int64(np.floor(at[1])), np.int64(np.floor(at[2]))
+    x, y, z = whole(np.floor(at[0])), whole(np.floor(at[1])), whole(np.floor(at[2]))
     for axis in range(3):
         part = at[axis] - np.floor(at[axis])
         least = min(least, (1.0 + min(part, 1.0 - part)) * width)
-    count: tuple[I64, I64, I64] = size[0], size[1], size[2]
-    for i in range(max(x - 1, 0), min(x + 1, count[0] - 1) + 1):
-        for j in range(max(y - 1, 0), min(y + 1, count[1] - 1) + 1):
-            row = (i * count[1] + j) * count[2]
+    for i in range(max(x - 1, 0), min(x + 1, size[0] - 1) + 1):
+        for j in range(max(y - 1, 0), min(y + 1, size[1] - 1) + 1):
+            row = (i * size[1] + j) * size[2]
             row_begin: I64 = first[row + max(z - 1, 0)]
-            row_end: I64 = first[row + min(z + 1, count[2] - 1) + 1]
+            row_end: I64 = first[row + min(z + 1, size[2] - 1) + 1]
             for k in range(row_begin, row_end):
                 g = listed[k]
                 ball = np.float64(bound[k, 4]), np.float64(bound[k, 5]), np.float64(bound[k, 6])
@@ -185,7 +185,7 @@ def fetch_start(rings: Rings, face: I64) -> None:
     fetch_ahead(rings[0], 16 * face + 8)
 
 
-@called
+@inlined
 def walked_hit(grid: Grid, rings: Rings, start: I64, a: Vec3, w: Vec3) -> tuple[F64, I64]:
     """As `first_hit`, by a walk from the face below the origin, which is near `start`; UNSURE where a walk cannot answer."""
     planes, links, balls = rings

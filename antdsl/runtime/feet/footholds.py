@@ -22,6 +22,7 @@ from antdsl.machine_code.kernels import (
     Array1,
     Array2,
     Array3,
+    independent,
     inlined,
     kernel,
     scratch,
@@ -36,6 +37,7 @@ from antdsl.runtime.feet.trunk import lean
 _F = np.float32
 NEAR = 0.3  # of a leg: a hit so near to the wanted place is used
 BEYOND = 1.6  # times the way to the wanted place: how far the first ray goes
+_FETCHED = 64  # rays whose faces are prefetched together
 _LOWEST = 0.2  # of a leg: the least height above a wanted place from which it is looked for
 
 # Where walks of rays begin: a number of the floor times 2 ** FACE_BITS plus a face, -1 for no mesh that has such.
@@ -87,40 +89,63 @@ def aim(
 
 
 @kernel
-def cast(
+def walk(
     grid: Grid,
     rings: Rings,
-    box: tuple[Array1[F64], Array1[F64]],
     number: I64,
     origins: Array2[F64],
     ways: Array2[F64],
     starts: Array1[I64],
+    hits: Hits,
+    walked: Array1[I16],
+    begin: I64,
+    end: I64,
+) -> None:
+    """Put what rays from `begin` to before `end` hit of a mesh, the floor's `number`, where their `starts` are on it and a walk
+    answers, and the number into `walked`. Starts move to the faces that are hit."""
+    shape = grid[0]
+    zero = shape[6], shape[7], shape[8]
+    for low in range(begin, end, _FETCHED):
+        high = min(low + _FETCHED, end)
+        for k in independent(low, high):
+            if starts[k] >> FACE_BITS == number:
+                fetch_start(rings, starts[k] & FACE)
+        for k in range(low, high):
+            if starts[k] >> FACE_BITS == number:
+                a, w = of(origins, k), of(ways, k)
+                t, named = walked_hit(grid, rings, starts[k] & FACE, minus(a, zero), w)
+                if named != UNSURE:
+                    walked[k] = number
+                if named >= 0:
+                    starts[k] = number << FACE_BITS | named
+                    _put_hit(hits, k, number, t, a, w)
+
+
+@kernel
+def cast(
+    grid: Grid,
+    box: tuple[Array1[F64], Array1[F64]],
+    number: I64,
+    origins: Array2[F64],
+    ways: Array2[F64],
+    walked: Array1[I16],
     hits: Hits,
     far: Array1[I64],
     begin: I64,
     end: I64,
 ) -> tuple[I64, I64]:
     """Put what rays from `begin` to before `end` hit of a mesh, the floor's `number`, where that is nearer than `hits` so far.
-    Those with `starts` on the mesh walk, if it has `rings`; where that cannot answer, and without, they search the grid.
-    Into `far`, from `begin` on: the rays that are too long for the grid. Returns where they begin, and how many there are."""
+    Those that have `walked` on it are left out. Into `far`, from `begin` on: the rays that are too long for the grid. Returns
+    where they begin, and how many there are."""
     shape, (low, high), count = grid[0], box, 0
-    zero, many = (shape[6], shape[7], shape[8]), rings[0].shape[0]
+    zero = shape[6], shape[7], shape[8]
     cells, rays, near = scratch(2 * AHEAD, I64), scratch(AHEAD, I64), 0
     for k in range(begin, end + 1):
-        if k + AHEAD < end and many > 0 and starts[k + AHEAD] >> FACE_BITS == number:
-            fetch_start(rings, starts[k + AHEAD] & FACE)
         if k < end:
-            inside = True
+            inside = walked[k] != number
             for axis in range(3):
                 tail, head = origins[axis, k], origins[axis, k] + ways[axis, k]
                 inside = inside and min(tail, head) <= high[axis] and max(tail, head) >= low[axis]
-            if inside and many > 0 and starts[k] >> FACE_BITS == number:
-                a, w = of(origins, k), of(ways, k)
-                t, named = walked_hit(grid, rings, starts[k] & FACE, minus(a, zero), w)
-                inside = named == UNSURE
-                if named >= 0:
-                    starts[k] = number << FACE_BITS | named
-                    _put_hit(hits, k, number, t, a, w)
             if inside:
                 rays[near] = k
                 near += 1

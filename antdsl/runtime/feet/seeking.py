@@ -30,7 +30,6 @@ Arrays = tuple[NDArray[Any], ...]
 
 _SHY = 1e-6  # of a way: how much shorter it is when it is asked whether something is on it
 _RAYS = 256  # for which a thread pays
-_NO_RINGS = np.empty((0, 4, 4)), np.empty((0, 32), np.int32), np.empty((0, 32), np.float32)
 
 
 @dataclass(slots=True, eq=False)
@@ -99,6 +98,7 @@ class Floor:
         """What the straight lines from `origin` by `way` hit first. `starts`: faces near the origins, or -1. `most_hit`: most are
         expected to end on what bodies walk on, so that Open3D need not test first which do. Neither changes an answer."""
         found, threads = Found.none(origin.shape[1]), world.options.threads
+        walked = np.full(len(found.part), -1, np.int16)
         if isinstance(world.ground, Plane):
             _on_plane(world, origin, way, found)
         for k, name in enumerate(self.names):
@@ -111,8 +111,11 @@ class Floor:
                 near = _meeting(box, origin, way)
             else:
                 far = np.empty(len(found.part), np.int64)
-                rings = (seen.rings(threads) if k in self._walked else None) or _NO_RINGS
-                work = partial(footholds.cast, tables, rings, box, k, origin, way, starts, found.columns, far)
+                rings = seen.rings(threads) if k in self._walked else None
+                if rings is not None:
+                    work = partial(footholds.walk, tables, rings, k, origin, way, starts, found.columns, walked)
+                    parallel.in_parts(work, len(far), threads, _RAYS)
+                work = partial(footholds.cast, tables, box, k, origin, way, walked, found.columns, far)
                 near = parallel.joined(parallel.in_parts(work, len(far), threads, _RAYS), far)[0]
             if not near.size:
                 continue
