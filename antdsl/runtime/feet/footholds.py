@@ -28,7 +28,7 @@ from antdsl.machine_code.kernels import (
     scratch,
 )
 from antdsl.numerics.kernel_vectors import dot, minus, of, put
-from antdsl.runtime.feet.bodies import body_at
+from antdsl.runtime.feet.bodies import body_at, fetch_columns
 from antdsl.runtime.feet.gaits import HIP, REACHED, SINK
 from antdsl.runtime.feet.state import NOTHING
 from antdsl.runtime.feet.stepping import LIFTS, Legs, Trunks
@@ -70,22 +70,31 @@ def aim(
     target_x, target_z, left, what = targets
     steps, starts = rays
     hips, wanted, ups, longest, soles = seekers
-    for k in range(begin, end):
-        i, leg = requests[k] // count, requests[k] % count
-        place, ahead, up, aside, size = body_at(bodies, i)
-        rise, slope = trunks[1], trunks[2]
-        x, y, z = lean((slope[0, i], slope[1, i]), (legs[HIP, leg], legs[HIP + 1, leg], legs[HIP + 2, leg]))
-        frames = left[leg, i]
-        a, c = np.float64(x + covered[0, leg, i] * frames), np.float64(z + covered[1, leg, i] * frames)
-        b = np.float64(y + rise[i] / _F(size))
-        to_x, to_z = np.float64(target_x[leg, i]), np.float64(target_z[leg, i])
-        for axis in range(3):
-            hip = place[axis] + ((a * ahead[axis] + b * up[axis]) + c * aside[axis]) * size
-            goal = place[axis] + (to_x * ahead[axis] + to_z * aside[axis]) * size
-            hips[axis, k], wanted[axis, k], ups[axis, k] = hip, goal, up[axis]
-            steps[axis, k] = (goal - hip) * BEYOND
-        longest[k], soles[k] = exact[0, leg] * size * REACHED, exact[1, leg] * size
-        quick[k], starts[k] = what[leg, i] == LIFTS, standing[i]
+    for some in range(begin, end, _FETCHED):
+        stop = min(some + _FETCHED, end)
+        until = min(stop + _FETCHED, end)
+        if stop < until:
+            following, last = requests[stop] // count, requests[until - 1] // count + 1
+            fetch_columns(bodies, 13, 8, following, last)
+            fetch_columns(covered, 2 * count, 16, following, last)
+            for each in (target_x, target_z, left):
+                fetch_columns(each, count, 16, following, last)
+        for k in range(some, stop):
+            i, leg = requests[k] // count, requests[k] % count
+            place, ahead, up, aside, size = body_at(bodies, i)
+            rise, slope = trunks[1], trunks[2]
+            x, y, z = lean((slope[0, i], slope[1, i]), (legs[HIP, leg], legs[HIP + 1, leg], legs[HIP + 2, leg]))
+            frames = left[leg, i]
+            a, c = np.float64(x + covered[0, leg, i] * frames), np.float64(z + covered[1, leg, i] * frames)
+            b = np.float64(y + rise[i] / _F(size))
+            to_x, to_z = np.float64(target_x[leg, i]), np.float64(target_z[leg, i])
+            for axis in range(3):
+                hip = place[axis] + ((a * ahead[axis] + b * up[axis]) + c * aside[axis]) * size
+                goal = place[axis] + (to_x * ahead[axis] + to_z * aside[axis]) * size
+                hips[axis, k], wanted[axis, k], ups[axis, k] = hip, goal, up[axis]
+                steps[axis, k] = (goal - hip) * BEYOND
+            longest[k], soles[k] = exact[0, leg] * size * REACHED, exact[1, leg] * size
+            quick[k], starts[k] = what[leg, i] == LIFTS, standing[i]
 
 
 @kernel
