@@ -37,7 +37,7 @@ from antdsl.runtime.feet.trunk import lean
 _F = np.float32
 NEAR = 0.3  # of a leg: a hit so near to the wanted place is used
 BEYOND = 1.6  # times the way to the wanted place: how far the first ray goes
-_FETCHED = 64  # rays whose faces are prefetched together
+_FETCHED = 64  # rays or requests that are prefetched together
 _LOWEST = 0.2  # of a leg: the least height above a wanted place from which it is looked for
 
 # Where walks of rays begin: a number of the floor times 2 ** FACE_BITS plus a face, -1 for no mesh that has such.
@@ -70,8 +70,8 @@ def aim(
     target_x, target_z, left, what = targets
     steps, starts = rays
     hips, wanted, ups, longest, soles = seekers
-    for some in range(begin, end, _FETCHED):
-        stop = min(some + _FETCHED, end)
+    for group in range(begin, end, _FETCHED):
+        stop = min(group + _FETCHED, end)
         until = min(stop + _FETCHED, end)
         if stop < until:
             following, last = requests[stop] // count, requests[until - 1] // count + 1
@@ -79,7 +79,7 @@ def aim(
             fetch_columns(covered, 2 * count, 16, following, last)
             for each in (target_x, target_z, left):
                 fetch_columns(each, count, 16, following, last)
-        for k in range(some, stop):
+        for k in range(group, stop):
             i, leg = requests[k] // count, requests[k] % count
             place, ahead, up, aside, size = body_at(bodies, i)
             rise, slope = trunks[1], trunks[2]

@@ -59,7 +59,7 @@ _LATE = _F(0.6)  # of a swing, in which a foot whose turn was missed may still l
 _BEHIND = _F(0.3)  # of its reach: a foot that is so far behind has missed its turn
 _LOWEST = _F(0.1)  # of a leg: the least height of a hip above a foot that a straight line is drawn through
 _AT_ONCE = _F(1e-3)  # of a cycle, by which the phase goes past the turn of the foot that sets out
-_FETCHED = 64  # agents whose columns are prefetched together
+_FETCHED = 64  # agents with columns that are prefetched together
 _LEAST, _TINY, _LONG = _F(1e-6), _F(1e-9), _F(1e4)
 
 STAYS, LIFTS, LANDS, SEEKS_AGAIN = 0, 1, 2, 3  # of `what` a foot does in this step
@@ -133,8 +133,8 @@ def plan_steps(
     phase, rise, slope = feet[2]
     target_x, target_z, left, share, off, at, what = targets
     stride, lift, slow = pace
-    for some in range(begin, end, _FETCHED):
-        stop = min(some + _FETCHED, end)
+    for group in range(begin, end, _FETCHED):
+        stop = min(group + _FETCHED, end)
         until = min(stop + _FETCHED, end)
         fetch_columns(place, 3 * count, 8, stop, until)
         fetch_columns(bodies, 13, 8, stop, until)
@@ -142,7 +142,7 @@ def plan_steps(
         fetch_columns(at, 3 * count, 16, stop, until)
         for each in (swing, found, target_x, target_z, left, share, off):
             fetch_columns(each, count, 16, stop, until)
-        for i in independent(some, stop):
+        for i in independent(group, stop):
             body = body_at(bodies, i)
             lean, raised = (slope[0, i], slope[1, i]), rise[i] / _F(body.size)
             went = _ZERO
@@ -255,8 +255,8 @@ def take_steps(
     _, rise, slope = feet[2]
     share, at, what = targets[3], targets[5], targets[6]
     stride, lift, slow = pace
-    for some in range(begin, end, _FETCHED):
-        stop = min(some + _FETCHED, end)
+    for group in range(begin, end, _FETCHED):
+        stop = min(group + _FETCHED, end)
         until = min(stop + _FETCHED, end)
         for each in (place, start, shown):
             fetch_columns(each, 3 * count, 8, stop, until)
@@ -264,7 +264,7 @@ def take_steps(
         fetch_columns(at, 3 * count, 16, stop, until)
         for each in (swing, share, found):
             fetch_columns(each, count, 16, stop, until)
-        for i in independent(some, stop):
+        for i in independent(group, stop):
             body = body_at(bodies, i)
             size = _F(body.size)
             lean, raised = (slope[0, i], slope[1, i]), rise[i] / size
