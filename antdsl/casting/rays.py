@@ -14,6 +14,7 @@ from antdsl.casting.distance_grid import DistanceGrid
 from antdsl.casting.faces import Faces, nearest_on_triangle
 from antdsl.casting.nearby import END, Index, Nearby, Vectors
 from antdsl.casting.open3d_module import open3d, require_open3d
+from antdsl.casting.ray_walks import Arrays, find_rings
 from antdsl.casting.tolerances import FURTHER, NOTHING
 from antdsl.casting.triangle_grid import TriangleGrid
 
@@ -98,6 +99,7 @@ class RayScene(Nearby):
         self._exact: Any = None
         self._short: TriangleGrid | None = None
         self._sought = False
+        self._rings: Arrays | None = None
 
     @property
     def _scene(self) -> Any:
@@ -154,6 +156,13 @@ class RayScene(Nearby):
                 return results
         which, part, face = self._within(origin - self.origin, displacement, threads)
         return which, part, normals.take(named.take(face), axis=1)
+
+    def rings(self, threads: int = 1) -> Arrays | None:
+        """What walks of rays need in addition to `tables`, computed at the first call; None where there is no grid."""
+        grid = self._triangles()
+        if grid is not None and self._rings is None:
+            self._rings = find_rings(self._faces, grid.tables, self._lasting, threads)
+        return self._rings
 
     def _triangles(self) -> TriangleGrid | None:
         """Return the grid for short rays and near faces, built on first use; None for a scene of a single step."""

@@ -18,6 +18,7 @@ from antdsl.pipeline import Shot
 from antdsl.reload import take_over
 from antdsl.runtime import Options, World, bind, checkpoint, feet_hash, restore, state_hash, step
 from antdsl.runtime.feet.gaits import MOST_CYCLES, SINK, resting
+from antdsl.runtime.feet.seeking import Floor
 from antdsl.runtime.feet.state import NOTHING, Feet
 
 NUMPY = Options(backend="numpy", feet=True)
@@ -132,6 +133,20 @@ def test_feet_are_the_same_by_machine_code(hill: Shot) -> None:
         for world in worlds:
             step(world)
     assert len({feet_hash(world.feet) for world in worlds}) == 1
+
+
+@pytest.mark.parametrize("ground", ["hill", "overhang"])
+def test_feet_are_the_same_where_no_ray_walks(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, ground: str) -> None:
+    shot = stick_bodies.opened(stick_bodies.write_scene(tmp_path, 6, ground, count=24))
+    walking = bind_shot(shot)
+    assert walking.floor is not None and (walking.floor.starts(walking.populations["walker"]) >= 0).all()
+    for _ in range(12):
+        step(walking)
+    monkeypatch.setattr(Floor, "starts", lambda _, population: np.full(len(population), -1))
+    casting = bind_shot(shot)
+    for _ in range(12):
+        step(casting)
+    assert feet_hash(walking.feet) == feet_hash(casting.feet)
 
 
 def test_one_bodys_feet_go_as_they_do_among_others(tmp_path: Path) -> None:

@@ -28,7 +28,7 @@ class Node:
 
 
 class _Refused(Exception):
-    """Reading cannot go on; the complaint is in the report already."""
+    """Reading cannot continue; the finding is in the report already."""
 
 
 _SPACE = re.compile(r"(?:[ \t\r\n]+|//[^\n]*|/\*(?:[^*]|\*(?!/))*+\*/)*+")

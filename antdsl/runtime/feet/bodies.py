@@ -6,12 +6,12 @@ A table is float64[13, n]: position (mm), and the unit vectors ahead, up and asi
 from __future__ import annotations
 
 from functools import partial
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.machine_code.kernels import F32, F64, I64, Array1, Array2, Strided2, independent, inlined, kernel
+from antdsl.machine_code.kernels import F32, F64, I64, Array1, Array2, Strided2, fetch_ahead, independent, inlined, kernel
 from antdsl.numerics import parallel
 from antdsl.numerics import vectors as vec
 from antdsl.numerics.kernel_vectors import Vec3, Vec3F32, VectorColumns, cross, direction, dot, flat, minus
@@ -85,6 +85,17 @@ def body_at(bodies: Array2[F64], i: I64) -> Body:
     up = bodies[6, i], bodies[7, i], bodies[8, i]
     aside = bodies[9, i], bodies[10, i], bodies[11, i]
     return Body(place, ahead, up, aside, bodies[12, i])
+
+
+@inlined
+def fetch_columns(table: Any, rows: I64, line: I64, begin: I64, end: I64) -> None:
+    """Prefetch columns of a table (…, n) with so many rows, `line` numbers at once: kernels here read a hundred rows, of which a
+    processor prefetches few."""
+    for row in range(rows):
+        k = begin
+        while k < end:
+            fetch_ahead(table, row * table.shape[-1] + k)
+            k += line
 
 
 @inlined

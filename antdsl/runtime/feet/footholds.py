@@ -9,10 +9,26 @@ from typing import Any
 import numpy as np
 
 from antdsl.casting.grid_rays import AHEAD, Grid, fetch_rays, first_hit
-from antdsl.casting.tolerances import FURTHER
-from antdsl.machine_code.kernels import BOOL, F32, F64, I16, I32, I64, U8, Array1, Array2, Array3, inlined, kernel, scratch
+from antdsl.casting.ray_walks import Rings, fetch_start, walked_hit
+from antdsl.casting.tolerances import FURTHER, UNSURE
+from antdsl.machine_code.kernels import (
+    BOOL,
+    F32,
+    F64,
+    I16,
+    I32,
+    I64,
+    U8,
+    Array1,
+    Array2,
+    Array3,
+    independent,
+    inlined,
+    kernel,
+    scratch,
+)
 from antdsl.numerics.kernel_vectors import dot, minus, of, put
-from antdsl.runtime.feet.bodies import body_at
+from antdsl.runtime.feet.bodies import body_at, fetch_columns
 from antdsl.runtime.feet.gaits import HIP, REACHED, SINK
 from antdsl.runtime.feet.state import NOTHING
 from antdsl.runtime.feet.stepping import LIFTS, Legs, Trunks
@@ -21,8 +37,11 @@ from antdsl.runtime.feet.trunk import lean
 _F = np.float32
 NEAR = 0.3  # of a leg: a hit this near to the requested position is used
 BEYOND = 1.6  # times the distance to the requested position: length of the first ray
+_FETCHED = 64  # rays or requests that are prefetched together
 _LOWEST = 0.2  # of a leg: least height above a requested position from which the search starts
 
+# Where walks of rays begin: a number of the floor times 2 ** FACE_BITS plus a face, -1 for no mesh that has such.
+FACE_BITS, FACE = 32, 0xFFFFFFFF
 Hits = tuple[Array1[F64], Array2[F64], Array1[I16], Array1[I32], Array2[F64]]  # as `Found`
 # Hip, requested position, up of the body, greatest distance of the foot joint from the hip, and its height above the ground.
 Seekers = tuple[Array2[F64], Array2[F64], Array2[F64], Array1[F64], Array1[F64]]
@@ -35,38 +54,80 @@ def aim(
     covered: Array3[F32],
     measures: tuple[Legs, Array2[F64]],
     trunks: Trunks,
-    targets: tuple[Array2[F32], Array2[F32], Array2[F32]],
-    what: Array2[U8],
+    targets: tuple[Array2[F32], Array2[F32], Array2[F32], Array2[U8]],
+    standing: Array1[I64],
     seekers: Seekers,
-    displacements: Array2[F64],
+    rays: tuple[Array2[F64], Array1[I64]],
     quick: Array1[BOOL],
     begin: I64,
     end: I64,
 ) -> None:
-    """Compute where hips will be when feet land, the target positions of the feet, and the first ray between the two.
-
-    Requests are agent times L plus leg, from `begin` to before `end`. `measures`: `Gaits.legs` and `Gaits.exact`. `quick`: the
-    foot lifts, and searches again when it lands."""
+    """Where hips will be when feet land, the places that these want, and the first ray between them, of requests (agent times L
+    plus leg) from `begin` to before `end`. `measures`: as `Gaits.legs` and `Gaits.exact`. `standing`: the starts of agents, for
+    those of `rays`. `quick`: the foot lifts, and looks again when it lands."""
     legs, exact = measures
     count = legs.shape[1]
-    target_x, target_z, left = targets
+    target_x, target_z, left, what = targets
+    steps, starts = rays
     hips, goals, ups, longest, soles = seekers
-    for k in range(begin, end):
-        i, leg = requests[k] // count, requests[k] % count
-        place, ahead, up, aside, size = body_at(bodies, i)
-        rise, slope = trunks[1], trunks[2]
-        x, y, z = lean((slope[0, i], slope[1, i]), (legs[HIP, leg], legs[HIP + 1, leg], legs[HIP + 2, leg]))
-        frames = left[leg, i]
-        a, c = np.float64(x + covered[0, leg, i] * frames), np.float64(z + covered[1, leg, i] * frames)
-        b = np.float64(y + rise[i] / _F(size))
-        to_x, to_z = np.float64(target_x[leg, i]), np.float64(target_z[leg, i])
-        for axis in range(3):
-            hip = place[axis] + ((a * ahead[axis] + b * up[axis]) + c * aside[axis]) * size
-            goal = place[axis] + (to_x * ahead[axis] + to_z * aside[axis]) * size
-            hips[axis, k], goals[axis, k], ups[axis, k] = hip, goal, up[axis]
-            displacements[axis, k] = (goal - hip) * BEYOND
-        longest[k], soles[k] = exact[0, leg] * size * REACHED, exact[1, leg] * size
-        quick[k] = what[leg, i] == LIFTS
+    for group in range(begin, end, _FETCHED):
+        stop = min(group + _FETCHED, end)
+        until = min(stop + _FETCHED, end)
+        if stop < until:
+            following, last = requests[stop] // count, requests[until - 1] // count + 1
+            fetch_columns(bodies, 13, 8, following, last)
+            fetch_columns(covered, 2 * count, 16, following, last)
+            for each in (target_x, target_z, left):
+                fetch_columns(each, count, 16, following, last)
+        for k in range(group, stop):
+            i, leg = requests[k] // count, requests[k] % count
+            place, ahead, up, aside, size = body_at(bodies, i)
+            rise, slope = trunks[1], trunks[2]
+            x, y, z = lean((slope[0, i], slope[1, i]), (legs[HIP, leg], legs[HIP + 1, leg], legs[HIP + 2, leg]))
+            frames = left[leg, i]
+            a, c = np.float64(x + covered[0, leg, i] * frames), np.float64(z + covered[1, leg, i] * frames)
+            b = np.float64(y + rise[i] / _F(size))
+            to_x, to_z = np.float64(target_x[leg, i]), np.float64(target_z[leg, i])
+            for axis in range(3):
+                hip = place[axis] + ((a * ahead[axis] + b * up[axis]) + c * aside[axis]) * size
+                goal = place[axis] + (to_x * ahead[axis] + to_z * aside[axis]) * size
+                hips[axis, k], goals[axis, k], ups[axis, k] = hip, goal, up[axis]
+                steps[axis, k] = (goal - hip) * BEYOND
+            longest[k], soles[k] = exact[0, leg] * size * REACHED, exact[1, leg] * size
+            quick[k], starts[k] = what[leg, i] == LIFTS, standing[i]
+
+
+@kernel
+def walk(
+    grid: Grid,
+    rings: Rings,
+    number: I64,
+    origins: Array2[F64],
+    ways: Array2[F64],
+    starts: Array1[I64],
+    hits: Hits,
+    walked: Array1[I16],
+    begin: I64,
+    end: I64,
+) -> None:
+    """Put what rays from `begin` to before `end` hit of a mesh, the floor's `number`, where their `starts` are on it and a walk
+    answers, and the number into `walked`. Starts move to the faces that are hit."""
+    shape = grid[0]
+    zero = shape[6], shape[7], shape[8]
+    for low in range(begin, end, _FETCHED):
+        high = min(low + _FETCHED, end)
+        for k in independent(low, high):
+            if starts[k] >> FACE_BITS == number:
+                fetch_start(rings, starts[k] & FACE)
+        for k in range(low, high):
+            if starts[k] >> FACE_BITS == number:
+                a, w = of(origins, k), of(ways, k)
+                t, named = walked_hit(grid, rings, starts[k] & FACE, minus(a, zero), w)
+                if named != UNSURE:
+                    walked[k] = number
+                if named >= 0:
+                    starts[k] = number << FACE_BITS | named
+                    _put_hit(hits, k, number, t, a, w)
 
 
 @kernel
@@ -76,22 +137,21 @@ def cast(
     number: I64,
     origins: Array2[F64],
     displacements: Array2[F64],
+    walked: Array1[I16],
     hits: Hits,
     far: Array1[I64],
     begin: I64,
     end: I64,
 ) -> tuple[I64, I64]:
-    """Store what rays from `begin` to before `end` hit of a mesh, number `number` of the floor, where that is nearer than `hits`
-    so far.
-
-    `far`, from `begin` on, receives the rays that are too long for the grid. Returns `begin` and the number of these rays."""
+    """Put what rays from `begin` to before `end` hit of a mesh, the floor's `number`, where that is nearer than `hits` so far.
+    Those that have `walked` on it are left out. Into `far`, from `begin` on: the rays that are too long for the grid. Returns
+    where they begin, and how many there are."""
     shape, (low, high), count = grid[0], box, 0
     zero = shape[6], shape[7], shape[8]
-    part, place, on, face, weight = hits
     cells, rays, near = scratch(2 * AHEAD, I64), scratch(AHEAD, I64), 0
     for k in range(begin, end + 1):
         if k < end:
-            inside = True
+            inside = walked[k] != number
             for axis in range(3):
                 tail, head = origins[axis, k], origins[axis, k] + displacements[axis, k]
                 inside = inside and min(tail, head) <= high[axis] and max(tail, head) >= low[axis]
@@ -107,12 +167,19 @@ def cast(
                 if named == FURTHER:
                     far[begin + count] = ray
                     count += 1
-                elif named >= 0 and t < part[ray]:
-                    part[ray], on[ray], face[ray], weight[0, ray], weight[1, ray] = t, number, 0, 0.0, 0.0
-                    for axis in range(3):
-                        place[axis, ray] = a[axis] + w[axis] * t
+                elif named >= 0:
+                    _put_hit(hits, ray, number, t, a, w)
             near = 0
     return begin, count
+
+
+@inlined
+def _put_hit(hits: Any, k: Any, number: Any, t: Any, a: Any, w: Any) -> None:
+    """Put what ray `k` hits of a mesh after part `t` of its way `w` from `a`, where that is nearer."""
+    part, place, on, face, weight = hits
+    if t < part[k]:
+        part[k], on[k], face[k], weight[0, k], weight[1, k] = t, number, 0, 0.0, 0.0
+        put(place, k, (a[0] + w[0] * t, a[1] + w[1] * t, a[2] + w[2] * t))
 
 
 @kernel

@@ -20,9 +20,10 @@ from antdsl.ground.solid_feelers import SolidFeelers
 from antdsl.numerics import parallel
 from antdsl.numerics import vectors as vec
 from antdsl.runtime.feet import footholds
+from antdsl.runtime.feet.footholds import FACE_BITS
 from antdsl.runtime.feet.state import NOTHING, PLANE
 from antdsl.runtime.moving.moving_geometry import vertices_at
-from antdsl.runtime.world import World
+from antdsl.runtime.world import Population, World
 
 Vectors = NDArray[np.float64]  # (3, k)
 Rows = NDArray[np.int64]
@@ -78,13 +79,28 @@ class Floor:
             for k, name in enumerate(self.names)
             if name in self.meshes and k not in self.moving and len(self.meshes[name].vertices)
         }
+        # By number of the ground, what starts of walks have above their faces.
+        self._numbers = np.array(
+            [self.names.index(name) << FACE_BITS if name in self.meshes else -1 for name in world.ground.names], np.int64
+        )
+        self._walked: set[int] = set()  # numbers of meshes that agents stand on
 
-    def cast(self, world: World, origin: Vectors, displacement: Vectors, most_hit: bool = True) -> GroundHits:
-        """Return the first hits of the straight lines from `origin` by `displacement`.
+    def starts(self, population: Population) -> Rows:
+        """The faces below agents by id, from which rays near their bodies walk: as `footholds.FACE_BITS` describes."""
+        order, columns = population.in_id_order(), population.footing.columns
+        if "face" not in columns or not self._numbers.size:
+            return np.full(len(order), -1)
+        mesh, face = columns["mesh"][order], columns["face"][order]
+        number = np.where(mesh >= 0, self._numbers[mesh], -1)
+        self._walked.update((self._numbers[np.flatnonzero(np.bincount(mesh + 1)[1:])] >> FACE_BITS).tolist())
+        return np.where(number >= 0, number | face, -1)
 
-        `most_hit`: most lines are expected to hit walkable surfaces, so Open3D need not test first which do. It does not change
-        the result."""
+    def cast(self, world: World, origin: Vectors, displacement: Vectors, starts: Rows, most_hit: bool = True) -> GroundHits:
+        """What the straight lines from `origin` by `displacement` hit first. `starts`: faces near the origins, or -1. `most_hit`:
+        most are expected to end on what bodies walk on, so that Open3D need not test first which do. Neither changes an
+        answer."""
         hits, threads = GroundHits.none(origin.shape[1]), world.options.threads
+        walked = np.full(len(hits.part), -1, np.int16)
         if isinstance(world.ground, Plane):
             _on_plane(world, origin, displacement, hits)
         for k, name in enumerate(self.names):
@@ -93,11 +109,15 @@ class Floor:
             if box is None:
                 continue
             tables = obstacle.tables() if isinstance(obstacle, RayScene) and k not in self.moving else None
-            if tables is None:
+            if not isinstance(obstacle, RayScene) or tables is None:
                 near = _meeting(box, origin, displacement)
             else:
                 far = np.empty(len(hits.part), np.int64)
-                work = partial(footholds.cast, tables, box, k, origin, displacement, hits.columns, far)
+                rings = obstacle.rings(threads) if k in self._walked else None
+                if rings is not None:
+                    work = partial(footholds.walk, tables, rings, k, origin, displacement, starts, hits.columns, walked)
+                    parallel.in_parts(work, len(far), threads, _RAYS)
+                work = partial(footholds.cast, tables, box, k, origin, displacement, walked, hits.columns, far)
                 near = parallel.joined(parallel.in_parts(work, len(far), threads, _RAYS), far)[0]
             if not near.size:
                 continue
@@ -182,13 +202,15 @@ class Floor:
 
 @dataclass(slots=True, eq=False)
 class Seeking:
-    """Feet that need ground. `requests` int64[k]: agent number times L plus leg number. `columns`: hip, requested position and up
-    of the body, (3, k); greatest distance (mm) of the foot joint from the hip; its height above the ground. `displacement` (3,
-    k): from the hip to beyond the requested position. `is_quick`: the foot lifts, and searches again when it lands."""
+    """Feet that need ground: `requests` int64[k], the number of the agent times L plus that of the leg; `columns`: hip, wanted
+    place and up of the body, (3, k), how far the foot joint may be from the hip (mm), and how high it is above its ground;
+    `displacement` (3, k): from the hip past the wanted place; `starts` as `Floor.starts`. `is_quick`: the foot lifts, and looks
+    again when it lands."""
 
     requests: Rows
     columns: Arrays
     displacement: Vectors
+    starts: Rows
     is_quick: NDArray[np.bool_]
 
     @staticmethod
@@ -197,8 +219,8 @@ class Seeking:
         count = len(requests)
         buffer = np.empty((14, count))
         columns = buffer[:3], buffer[3:6], buffer[6:9], buffer[12], buffer[13]
-        seeking = Seeking(requests, columns, buffer[9:12], np.empty(count, np.bool_))
-        work = partial(footholds.aim, requests, *aim_inputs, columns, seeking.displacement, seeking.is_quick)
+        seeking = Seeking(requests, columns, buffer[9:12], np.empty(count, np.int64), np.empty(count, np.bool_))
+        work = partial(footholds.aim, requests, *aim_inputs, columns, (seeking.displacement, seeking.starts), seeking.is_quick)
         parallel.in_parts(work, count, threads, _RAYS)
         return seeking
 
@@ -211,7 +233,7 @@ class Seeking:
 def seek(world: World, floor: Floor, seeking: Seeking) -> GroundHits:
     """Return ground for feet. Quick ones only get what is on the straight line, at any distance from the target."""
     threads, count = world.options.threads, len(seeking.requests)
-    hits = floor.cast(world, seeking.columns[0], seeking.displacement)
+    hits = floor.cast(world, seeking.columns[0], seeking.displacement, seeking.starts)
     fits, rows = np.empty(count, np.bool_), np.empty(count, np.int64)
     work = partial(footholds.judge, seeking.columns, hits.columns, seeking.is_quick, fits, rows)
     (rows,) = parallel.joined(parallel.in_parts(work, count, threads, _RAYS), rows)
@@ -226,8 +248,9 @@ def _look_around(world: World, floor: Floor, seeking: Seeking, hits: GroundHits,
     buffer = np.empty((13, count))
     above, to_above, down, hips, reach = buffer[:3], buffer[3:6], buffer[6:9], buffer[9:12], buffer[12]
     parallel.in_parts(partial(footholds.look_around, seeking.columns, rows, above, to_above, down, hips), count, threads, _RAYS)
-    level = floor.cast(world, hips, to_above, most_hit=False)
-    below = floor.cast(world, above, down)
+    starts = seeking.starts[rows]
+    level = floor.cast(world, hips, to_above, starts, most_hit=False)
+    below = floor.cast(world, above, down, starts)
     lost = np.empty(count, np.int64)
     choose_inputs = seeking.columns, rows, hits.columns, fits, level.columns, below.columns, lost, reach
     parts = parallel.in_parts(partial(footholds.choose, *choose_inputs), count, threads, _RAYS)
@@ -235,7 +258,7 @@ def _look_around(world: World, floor: Floor, seeking: Seeking, hits: GroundHits,
     if lost.size:
         rows, hips = rows[lost], np.ascontiguousarray(hips[:, lost])
         close = floor.nearest(world, np.ascontiguousarray(seeking.columns[1][:, rows]), reach)
-        sight_hits = floor.cast(world, hips, (close.place - hips) * (1.0 - _SHY))
+        sight_hits = floor.cast(world, hips, (close.place - hips) * (1.0 - _SHY), starts[lost])
         footholds.accept(seeking.columns, rows, close.columns, sight_hits.columns, hits.columns, 0, len(rows))
 
 

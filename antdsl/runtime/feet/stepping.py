@@ -17,7 +17,7 @@ import numpy as np
 from antdsl.machine_code.kernels import BOOL, F32, F64, I16, I64, U8, Array1, Array2, Array3, independent, inlined, kernel
 from antdsl.numerics.kernel_vectors import dot, minus
 from antdsl.runtime.feet import trunk
-from antdsl.runtime.feet.bodies import body_at, orthonormal_axes, to_body, to_world
+from antdsl.runtime.feet.bodies import body_at, fetch_columns, orthonormal_axes, to_body, to_world
 from antdsl.runtime.feet.gaits import FOOT_Y, HIP, LENGTH, MOST_CYCLES, OFF, REACH, REACHED, REST_X, REST_Z, SINK, gait_at
 from antdsl.runtime.feet.state import NOTHING, STANDS
 
@@ -34,6 +34,7 @@ _LATE = _F(0.6)  # of a swing: until then, a foot that missed its turn may still
 _BEHIND = _F(0.3)  # of its reach: a foot that is so far behind has missed its turn
 _LOWEST = _F(0.1)  # of a leg: the least height of a hip above a foot that a straight line is drawn through
 _AT_ONCE = _F(1e-3)  # of a cycle, by which the phase goes past the turn of the foot that sets out
+_FETCHED = 64  # agents with columns that are prefetched together
 _LEAST, _TINY, _LONG = _F(1e-6), _F(1e-9), _F(1e4)
 
 STAYS, LIFTS, LANDS, SEEKS_AGAIN = 0, 1, 2, 3  # of `what` a foot does in this step
@@ -110,91 +111,100 @@ def plan_steps(
     phase, rise, slope = feet[2]
     target_x, target_z, left, share, off, at, what = targets
     stride, lift, slow = pace
-    for i in independent(begin, end):
-        body = body_at(bodies, i)
-        lean, raised = (slope[0, i], slope[1, i]), rise[i] / _F(body.size)
-        frame_distance = _ZERO
-        for leg in range(count):
-            frame_distance = frame_distance + np.sqrt(
-                covered[0, leg, i] * covered[0, leg, i] + covered[1, leg, i] * covered[1, leg, i]
-            )
-        frame_distance = frame_distance / _F(max(1, count))
-        gait, long, duty, high = gait_at(gaits, frame_distance / dt, frame_distance, shortest)
-        stride[i], lift[i] = long, high
-        ahead = frame_distance / long
-        still = ahead < _SLOW
-        slow[i] = still
-        restless, stands = False, True
-        for leg in range(count):
-            local_foot = to_body(body, (place[0, leg, i], place[1, leg, i], place[2, leg, i]))
-            at[0, leg, i], at[1, leg, i], at[2, leg, i] = local_foot
-            away = _off(legs, leg, local_foot, _hip(legs, leg, lean, raised))
-            off[leg, i] = away
-            down = swing[leg, i] == STANDS
-            if swing[leg, i] >= _ZERO or (down and away > legs[OFF, leg] + rest_offset[leg, i]):
-                restless = True
-            if not down or not away <= legs[OFF, leg]:
-                stands = False
-        if still and restless:
-            ahead = max(ahead, rests)
-        ahead = min(ahead, _MOST_CYCLES)
-        # An agent that starts from standing lifts the foot with the next turn at once: no foot waits until it is left behind.
-        gap = _F(np.inf)
-        for leg in range(count):
-            leg_phase = _fraction(phase[i] + gaits[2][gait, leg])
-            wait = duty - leg_phase
-            wait = wait if wait > _ZERO else wait + _ONE
-            gap = min(gap, wait)
-        advance = gap + _AT_ONCE if stands and not still and gap > ahead else ahead
-        rate = min(max(ahead / (_ONE - duty), swings), _ONE)
-        stance = max(_ONE / max(ahead, _LEAST) - _ONE / rate, _ZERO)  # frames that a foot will stand
-        for leg in range(count):
-            local_foot = at[0, leg, i], at[1, leg, i], at[2, leg, i]
-            hip = _hip(legs, leg, lean, raised)
-            x, z = local_foot[0] - legs[REST_X, leg], local_foot[2] - legs[REST_Z, leg]
-            cover_x, cover_z = covered[0, leg, i], covered[1, leg, i]
-            leg_phase = _fraction(phase[i] + gaits[2][gait, leg])
-            next_phase = leg_phase + advance
-            crosses = (leg_phase < duty and next_phase >= duty) or next_phase >= _ONE + duty
-            # A foot missed its turn, as the gait changed or something else moved it: behind where it rests, in time to swing.
-            behind = x * cover_x + z * cover_z < _ZERO
-            late = leg_phase >= duty and leg_phase < duty + _LATE * (_ONE - duty)
-            late = late and behind and off[leg, i] > _BEHIND * legs[REACH, leg]
-            due = (crosses or late) and (not still or off[leg, i] > _HALF * legs[OFF, leg] + rest_offset[leg, i])
-            lost = (
-                off[leg, i] > _LEFT * legs[REACH, leg]
-                or undermined[leg, i]
-                or _is_too_far(legs, leg, local_foot, hip, _STRETCHED)
-            )
-            down = swing[leg, i] == STANDS
-            lifts = down and (due or lost)
-            flies = lifts or swing[leg, i] >= _ZERO
-            if lifts:
-                for axis in range(3):
-                    start[axis, leg, i] = place[axis, leg, i]
-            progress, increment = STANDS, rate
-            frames = _ZERO
-            if flies:
-                over = next_phase - duty
-                over = over - _ONE if over >= _ONE else over
-                if lifts and crosses and over >= _ZERO:
-                    increment = over / (_ONE - duty)
-                progress = min((_ZERO if lifts else swing[leg, i]) + increment, _ONE)
-                frames = (_ONE - progress) / rate
-            half_x, half_z = min(stance, _LONG) * cover_x * _HALF, min(stance, _LONG) * cover_z * _HALF
-            by = min(_ONE, legs[REACH, leg] / max(np.sqrt(half_x * half_x + half_z * half_z), _TINY))
-            to_x = legs[REST_X, leg] + cover_x * frames + half_x * by
-            to_z = legs[REST_Z, leg] + cover_z * frames + half_z * by
-            lands = flies and progress >= _ONE
-            past = ((_ZERO if lifts else swing[leg, i]) + increment - _ONE if lands else _ZERO) / rate  # frames ago
-            to_x, to_z = to_x - cover_x * past, to_z - cover_z * past
-            target_x[leg, i], target_z[leg, i], left[leg, i], share[leg, i] = to_x, to_z, frames, progress
-            miss_x, miss_z = local_foot[0] - to_x, local_foot[2] - to_z
-            most = legs[OFF, leg] if still else _AGAIN * legs[LENGTH, leg]
-            again = miss_x * miss_x + miss_z * miss_z > most * most or on[leg, i] == NOTHING
-            again = lands and (again or _is_too_far(legs, leg, local_foot, hip, _REACHED))
-            what[leg, i] = (SEEKS_AGAIN if again else LANDS) if lands else (LIFTS if lifts else STAYS)
-        phase[i] = _fraction(phase[i] + advance)
+    for group in range(begin, end, _FETCHED):
+        stop = min(group + _FETCHED, end)
+        until = min(stop + _FETCHED, end)
+        fetch_columns(place, 3 * count, 8, stop, until)
+        fetch_columns(bodies, 13, 8, stop, until)
+        fetch_columns(covered, 2 * count, 16, stop, until)
+        fetch_columns(at, 3 * count, 16, stop, until)
+        for each in (swing, rest_offset, target_x, target_z, left, share, off):
+            fetch_columns(each, count, 16, stop, until)
+        for i in independent(group, stop):
+            body = body_at(bodies, i)
+            lean, raised = (slope[0, i], slope[1, i]), rise[i] / _F(body.size)
+            frame_distance = _ZERO
+            for leg in range(count):
+                frame_distance = frame_distance + np.sqrt(
+                    covered[0, leg, i] * covered[0, leg, i] + covered[1, leg, i] * covered[1, leg, i]
+                )
+            frame_distance = frame_distance / _F(max(1, count))
+            gait, long, duty, high = gait_at(gaits, frame_distance / dt, frame_distance, shortest)
+            stride[i], lift[i] = long, high
+            ahead = frame_distance / long
+            still = ahead < _SLOW
+            slow[i] = still
+            restless, stands = False, True
+            for leg in range(count):
+                local_foot = to_body(body, (place[0, leg, i], place[1, leg, i], place[2, leg, i]))
+                at[0, leg, i], at[1, leg, i], at[2, leg, i] = local_foot
+                away = _off(legs, leg, local_foot, _hip(legs, leg, lean, raised))
+                off[leg, i] = away
+                down = swing[leg, i] == STANDS
+                if swing[leg, i] >= _ZERO or (down and away > legs[OFF, leg] + rest_offset[leg, i]):
+                    restless = True
+                if not down or not away <= legs[OFF, leg]:
+                    stands = False
+            if still and restless:
+                ahead = max(ahead, rests)
+            ahead = min(ahead, _MOST_CYCLES)
+            # An agent that starts from standing lifts the foot with the next turn at once: no foot waits until it is left behind.
+            gap = _F(np.inf)
+            for leg in range(count):
+                leg_phase = _fraction(phase[i] + gaits[2][gait, leg])
+                wait = duty - leg_phase
+                wait = wait if wait > _ZERO else wait + _ONE
+                gap = min(gap, wait)
+            advance = gap + _AT_ONCE if stands and not still and gap > ahead else ahead
+            rate = min(max(ahead / (_ONE - duty), swings), _ONE)
+            stance = max(_ONE / max(ahead, _LEAST) - _ONE / rate, _ZERO)  # frames that a foot will stand
+            for leg in range(count):
+                local_foot = at[0, leg, i], at[1, leg, i], at[2, leg, i]
+                hip = _hip(legs, leg, lean, raised)
+                x, z = local_foot[0] - legs[REST_X, leg], local_foot[2] - legs[REST_Z, leg]
+                cover_x, cover_z = covered[0, leg, i], covered[1, leg, i]
+                leg_phase = _fraction(phase[i] + gaits[2][gait, leg])
+                next_phase = leg_phase + advance
+                crosses = (leg_phase < duty and next_phase >= duty) or next_phase >= _ONE + duty
+                # A foot missed its turn, as the gait changed or something else moved it: behind where it rests, in time to swing.
+                behind = x * cover_x + z * cover_z < _ZERO
+                late = leg_phase >= duty and leg_phase < duty + _LATE * (_ONE - duty)
+                late = late and behind and off[leg, i] > _BEHIND * legs[REACH, leg]
+                due = (crosses or late) and (not still or off[leg, i] > _HALF * legs[OFF, leg] + rest_offset[leg, i])
+                lost = (
+                    off[leg, i] > _LEFT * legs[REACH, leg]
+                    or undermined[leg, i]
+                    or _is_too_far(legs, leg, local_foot, hip, _STRETCHED)
+                )
+                down = swing[leg, i] == STANDS
+                lifts = down and (due or lost)
+                flies = lifts or swing[leg, i] >= _ZERO
+                if lifts:
+                    for axis in range(3):
+                        start[axis, leg, i] = place[axis, leg, i]
+                progress, increment = STANDS, rate
+                frames = _ZERO
+                if flies:
+                    over = next_phase - duty
+                    over = over - _ONE if over >= _ONE else over
+                    if lifts and crosses and over >= _ZERO:
+                        increment = over / (_ONE - duty)
+                    progress = min((_ZERO if lifts else swing[leg, i]) + increment, _ONE)
+                    frames = (_ONE - progress) / rate
+                half_x, half_z = min(stance, _LONG) * cover_x * _HALF, min(stance, _LONG) * cover_z * _HALF
+                by = min(_ONE, legs[REACH, leg] / max(np.sqrt(half_x * half_x + half_z * half_z), _TINY))
+                to_x = legs[REST_X, leg] + cover_x * frames + half_x * by
+                to_z = legs[REST_Z, leg] + cover_z * frames + half_z * by
+                lands = flies and progress >= _ONE
+                past = ((_ZERO if lifts else swing[leg, i]) + increment - _ONE if lands else _ZERO) / rate  # frames ago
+                to_x, to_z = to_x - cover_x * past, to_z - cover_z * past
+                target_x[leg, i], target_z[leg, i], left[leg, i], share[leg, i] = to_x, to_z, frames, progress
+                miss_x, miss_z = local_foot[0] - to_x, local_foot[2] - to_z
+                most = legs[OFF, leg] if still else _AGAIN * legs[LENGTH, leg]
+                again = miss_x * miss_x + miss_z * miss_z > most * most or on[leg, i] == NOTHING
+                again = lands and (again or _is_too_far(legs, leg, local_foot, hip, _REACHED))
+                what[leg, i] = (SEEKS_AGAIN if again else LANDS) if lands else (LIFTS if lifts else STAYS)
+            phase[i] = _fraction(phase[i] + advance)
     many = 0
     for i in range(begin, end):
         for leg in range(count):
@@ -227,46 +237,55 @@ def take_steps(
     _, rise, slope = feet[2]
     share, at, what = targets[3], targets[5], targets[6]
     stride, lift, slow = pace
-    for i in independent(begin, end):
-        body = body_at(bodies, i)
-        size = _F(body.size)
-        lean, raised = (slope[0, i], slope[1, i]), rise[i] / size
-        for leg in range(count):
-            lands = what[leg, i] >= LANDS
-            swing[leg, i] = STANDS if lands and on[leg, i] != NOTHING else share[leg, i]
-            local_foot = to_body(body, (place[0, leg, i], place[1, leg, i], place[2, leg, i]))
-            at[0, leg, i], at[1, leg, i], at[2, leg, i] = local_foot
-            if not slow[i]:
-                rest_offset[leg, i] = _ZERO
-            elif lands:
-                rest_offset[leg, i] = _off(legs, leg, local_foot, _hip(legs, leg, lean, raised))
-        height, ahead, aside = trunk.fit_plane(at, on, count, i)
-        height = min(max(height, -highest), highest)
-        tilt = lean[0] + (ahead - lean[0]) * slower, lean[1] + (aside - lean[1]) * slower
-        raised = raised + (height - raised) * (faster if height > raised else slower)
-        high = trunk.lower(at, swing, legs, raised, tilt, -highest, i) * size
-        torn = False
-        for leg in range(count):
-            local_foot = at[0, leg, i], at[1, leg, i], at[2, leg, i]
-            if swing[leg, i] == STANDS and _is_too_far(legs, leg, local_foot, _hip(legs, leg, tilt, high / size), _STRETCHED):
-                torn = True
-        if not torn:  # else the trunk stays as it was, where all standing feet are in reach
-            rise[i], slope[0, i], slope[1, i] = high, tilt[0], tilt[1]
-        lean, raised = (slope[0, i], slope[1, i]), rise[i] / size
-        for leg in range(count):
-            if swing[leg, i] >= _ZERO:
-                swing_start = to_body(body, (start[0, leg, i], start[1, leg, i], start[2, leg, i]))
+    for group in range(begin, end, _FETCHED):
+        stop = min(group + _FETCHED, end)
+        until = min(stop + _FETCHED, end)
+        for each in (place, start, current_place):
+            fetch_columns(each, 3 * count, 8, stop, until)
+        fetch_columns(bodies, 13, 8, stop, until)
+        fetch_columns(at, 3 * count, 16, stop, until)
+        for each in (swing, share, rest_offset):
+            fetch_columns(each, count, 16, stop, until)
+        for i in independent(group, stop):
+            body = body_at(bodies, i)
+            size = _F(body.size)
+            lean, raised = (slope[0, i], slope[1, i]), rise[i] / size
+            for leg in range(count):
+                lands = what[leg, i] >= LANDS
+                swing[leg, i] = STANDS if lands and on[leg, i] != NOTHING else share[leg, i]
+                local_foot = to_body(body, (place[0, leg, i], place[1, leg, i], place[2, leg, i]))
+                at[0, leg, i], at[1, leg, i], at[2, leg, i] = local_foot
+                if not slow[i]:
+                    rest_offset[leg, i] = _ZERO
+                elif lands:
+                    rest_offset[leg, i] = _off(legs, leg, local_foot, _hip(legs, leg, lean, raised))
+            height, ahead, aside = trunk.fit_plane(at, on, count, i)
+            height = min(max(height, -highest), highest)
+            tilt = lean[0] + (ahead - lean[0]) * slower, lean[1] + (aside - lean[1]) * slower
+            raised = raised + (height - raised) * (faster if height > raised else slower)
+            high = trunk.lower(at, swing, legs, raised, tilt, -highest, i) * size
+            torn = False
+            for leg in range(count):
                 local_foot = at[0, leg, i], at[1, leg, i], at[2, leg, i]
-                hip = _hip(legs, leg, lean, raised)
-                x, y, z = _swung(legs, leg, (swing_start, local_foot, hip), swing[leg, i], stride[i], lift[i])
-                foot = to_world(body, x, y, z)
-                current_place[0, leg, i], current_place[1, leg, i], current_place[2, leg, i] = foot
-            else:
-                for axis in range(3):
-                    current_place[axis, leg, i] = place[axis, leg, i]
-        for axis in range(3):
-            last[0][axis, i] = bodies[axis, i]
-            last[1][axis, i], last[2][axis, i] = _F(bodies[3 + axis, i]), _F(bodies[6 + axis, i])
+                if swing[leg, i] == STANDS and _is_too_far(legs, leg, local_foot, _hip(legs, leg, tilt, high / size), _STRETCHED):
+                    torn = True
+            if not torn:  # else the trunk stays as it was, where all standing feet are in reach
+                rise[i], slope[0, i], slope[1, i] = high, tilt[0], tilt[1]
+            lean, raised = (slope[0, i], slope[1, i]), rise[i] / size
+            for leg in range(count):
+                if swing[leg, i] >= _ZERO:
+                    swing_start = to_body(body, (start[0, leg, i], start[1, leg, i], start[2, leg, i]))
+                    local_foot = at[0, leg, i], at[1, leg, i], at[2, leg, i]
+                    hip = _hip(legs, leg, lean, raised)
+                    x, y, z = _swung(legs, leg, (swing_start, local_foot, hip), swing[leg, i], stride[i], lift[i])
+                    foot = to_world(body, x, y, z)
+                    current_place[0, leg, i], current_place[1, leg, i], current_place[2, leg, i] = foot
+                else:
+                    for axis in range(3):
+                        current_place[axis, leg, i] = place[axis, leg, i]
+            for axis in range(3):
+                last[0][axis, i] = bodies[axis, i]
+                last[1][axis, i], last[2][axis, i] = _F(bodies[3 + axis, i]), _F(bodies[6 + axis, i])
 
 
 @inlined

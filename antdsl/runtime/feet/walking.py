@@ -77,6 +77,7 @@ class _Step:
     def __init__(self, world: World, population: Population, walkers: Walkers) -> None:
         assert world.floor is not None
         self.world, self.floor, self.walkers, self.gaits = world, world.floor, walkers, walkers.gaits
+        self.population = population
         self.feet, self.new = world.feet[population.name].matched(population.sorted_ids()[0])
         world.feet[population.name] = self.feet
         self.threads, self.dt = world.options.threads, _F(world.dt)
@@ -159,7 +160,8 @@ class _Step:
         """Find ground for feet. A request is the number of the agent times L plus that of the leg."""
         if requests.size:
             feet, gaits, targets = self.feet, self.gaits, self.targets
-            aim_inputs = (self.bodies, self.covered, (gaits.legs, gaits.exact), self.columns[2], targets[:3], targets[-1])
+            goals, measures = (*targets[:3], targets[-1]), (gaits.legs, gaits.exact)
+            aim_inputs = self.bodies, self.covered, measures, self.columns[2], goals, self.floor.starts(self.population)
             seeking = Seeking.of(requests, aim_inputs, self.threads)
             hits = seek(self.world, self.floor, seeking)
             columns = tuple(_legs_first(each) for each in (feet.place, feet.on, feet.face, feet.weight))

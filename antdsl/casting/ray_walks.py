@@ -1,0 +1,254 @@
+"""What short rays hit on a still mesh, by a walk over the faces below them instead of a search in the grid of triangles.
+
+The ring of a face is all faces that share a corner with it. A face has a ball around its middle if no other face comes into it
+and the ring is flat: seen along the face's normal, all its faces show the same side, and none overlaps another. So a ray in the
+ball can hit the ring only, and passes over its faces one after another. A walk begins at the face below the origin of the ray,
+and tests faces in this order as `grid_rays.first_hit` does.
+
+The grid answers for rays that pass near a corner or hit near a side, since it has a rule for hits at equal distances. So answers
+are those of the grid, to the bit, from whichever face the walk begins."""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from antdsl.casting.faces import along, nearest_on, towards
+from antdsl.casting.grid_rays import Grid
+from antdsl.casting.tolerances import NOTHING, UNSURE
+from antdsl.machine_code.kernels import (
+    BOOL,
+    F32,
+    F64,
+    I32,
+    I64,
+    Array1,
+    Array2,
+    Array3,
+    called,
+    fetch_ahead,
+    inlined,
+    kernel,
+    nearest_integer,
+)
+from antdsl.numerics import parallel, stored_tables
+from antdsl.numerics.kernel_vectors import Vec3, cross, dot, minus, plus
+
+if TYPE_CHECKING:
+    from antdsl.casting.faces import Faces
+
+Rings = tuple[Array3[F64], Array2[I32], Array2[F32]]  # as `find_rings`
+Arrays = tuple[NDArray[Any], ...]
+Corners = tuple[Array1[I64], Array1[I64], Array1[I64], Array1[BOOL]]
+
+LINK, BALL = 24, 28  # columns of rows, of four bytes each
+_SEARCH, _WALK = 4, 3  # faces that are searched for the beginning, and that a walk passes: all are in the ring of the first
+_SURE = 1e-4  # weight by which a ray must be inside of a face
+_FLAT = 0.2  # least cosine of the angle between a face and one of its ring
+_THIN = 1e-3  # edges of cubes: faces that are less high have no ring
+_ROUNDING = 1 + 1e-5  # more than float32 makes of a square
+_FACES = 512  # for which a thread pays
+
+
+def find_rings(faces: Faces, grid: Grid, lasting: bool, threads: int = 1) -> Arrays:
+    """A row of two cache lines for each face, as three views: its planes, float64[m,4,4]; at LINK the face across each side,
+    opposite of each corner, -1 for none, int32[m,32]; and at BALL middle and square of the radius, which is 0 where the ring is
+    open or not flat, float32[m,32]. `lasting`: whether another run may request the same."""
+    count = len(faces.corners) if lasting else 0
+    tables = stored_tables.stored("rings", count, (faces.corners, *grid[0][:5]), partial(_rings, faces, grid, threads))
+    space = np.zeros(16 * len(faces.corners) + 8)
+    rows = space[-space.ctypes.data % 64 // 8 :][: 16 * len(faces.corners)].reshape(-1, 4, 4)
+    links, balls = (rows.reshape(-1, 16).view(kind) for kind in (np.int32, np.float32))
+    rows[:, :3], links[:, LINK : LINK + 3], balls[:, BALL:] = grid[5], tables["links"], tables["balls"]
+    return rows, links, balls
+
+
+def _rings(faces: Faces, grid: Grid, threads: int) -> stored_tables.Tables:
+    tables = faces.tables()
+    assert tables is not None
+    weld, first, listed = tables[2:]
+    three = weld.reshape(-1, 3)
+    links = _links(three)
+    closed = np.ones(len(first) - 1, np.bool_)
+    for corner in (1, 2):
+        closed[np.roll(three, -corner, axis=1)[links < 0]] = False
+    sides, normals = grid[6] - np.roll(grid[6], 1, axis=1), grid[5][:, 0, :3]
+    thin = (normals * normals).sum(axis=1) < (_THIN * grid[0][3]) ** 2 * (sides * sides).sum(axis=2).max(axis=1)
+    closed[three[thin]] = False
+    balls = np.zeros((len(links), 4), np.float32)
+    parallel.in_parts(partial(_find_balls, grid, (weld, first, listed, closed), balls), len(links), threads, _FACES)
+    return {"links": links, "balls": balls}
+
+
+def _links(weld: NDArray[np.int64]) -> NDArray[np.int32]:
+    """The face across each side, of faces (m, 3) by numbers of corners, that has just two faces, wound alike."""
+    one, two = np.roll(weld, -1, axis=1).ravel(), np.roll(weld, -2, axis=1).ravel()
+    key = np.minimum(one, two) * (int(weld.max(initial=0)) + 1) + np.maximum(one, two)
+    order = np.argsort(key, kind="stable")
+    same = key[order[1:]] == key[order[:-1]]
+    pair = same & ~np.concatenate(([False], same[:-1])) & ~np.concatenate((same[1:], [False]))
+    half, other = order[:-1][pair], order[1:][pair]
+    alike = one[half] == two[other]
+    half, other = half[alike], other[alike]
+    link = np.full(len(one), -1, np.int32)
+    link[half], link[other] = other // 3, half // 3
+    return link.reshape(-1, 3)
+
+
+@kernel
+def _find_balls(grid: Grid, corners: Corners, balls: Array2[F32], begin: I64, end: I64) -> None:
+    """Write the balls of faces from `begin` to before `end`. `corners`: as `Faces.tables`, and which have no open side."""
+    points, weld = grid[6], corners[0]
+    for f in range(begin, end):
+        middle = 0.0, 0.0, 0.0
+        for j in range(3):
+            middle = plus(middle, (points[f, j, 0] / 3.0, points[f, j, 1] / 3.0, points[f, j, 2] / 3.0))
+        radius = 0.0
+        if _is_flat(grid, corners, f, middle):
+            radius = max(_clearance(grid, weld, f, middle) - 2.0 * grid[0][4], 0.0)
+        balls[f, 0], balls[f, 1], balls[f, 2] = np.float32(middle[0]), np.float32(middle[1]), np.float32(middle[2])
+        balls[f, 3] = np.float32(radius * radius / _ROUNDING)
+
+
+@called
+def _is_flat(grid: Grid, corners: Corners, f: I64, middle: Vec3) -> BOOL:
+    """Whether the ring of a face is closed, and its rim goes once around the middle, seen along the normal."""
+    points, normals = grid[6], grid[7]
+    weld, first, listed, closed = corners
+    up = normals[f, 0], normals[f, 1], normals[f, 2]
+    good, ahead, turns, sides = dot(up, up) > 0, (0.0, 0.0, 0.0), 0, 0
+    for c in range(3):
+        v = weld[3 * f + c]
+        good = good and closed[v]
+        for k in range(first[v], first[v + 1]):
+            g = listed[k]
+            if g == f:
+                continue
+            good = good and dot(up, (normals[g, 0], normals[g, 1], normals[g, 2])) > _FLAT
+            shared, j = 0, 0
+            for n in range(3):
+                if _has(weld, f, weld[3 * g + n]):
+                    shared, j = shared + 1, n
+            good = good and shared < 3
+            if shared == 1:
+                j1, j2 = (j + 1) % 3, (j + 2) % 3
+                one = minus((points[g, j1, 0], points[g, j1, 1], points[g, j1, 2]), middle)
+                two = minus((points[g, j2, 0], points[g, j2, 1], points[g, j2, 2]), middle)
+                if sides == 0:
+                    ahead = plus(one, two)
+                good = good and dot(cross(one, two), up) > 0
+                turns += 1 if dot(cross(one, ahead), up) >= 0 and dot(cross(ahead, two), up) >= 0 else 0
+                sides += 1
+    return good and turns == 1
+
+
+@called
+def _clearance(grid: Grid, weld: Array1[I64], f: I64, middle: Vec3) -> F64:
+    """How far a place is from all faces but the ring of face `f`, or from the end of the cubes next to its own."""
+    shape, size, first, listed, bound, corners = grid[0], grid[1], grid[2], grid[3], grid[4], grid[6]
+    width, least = shape[3], np.inf
+    at = (middle[0] - shape[0]) / width, (middle[1] - shape[1]) / width, (middle[2] - shape[2]) / width
+    x, y, z = nearest_integer(np.floor(at[0])), nearest_integer(np.floor(at[1])), nearest_integer(np.floor(at[2]))
+    for axis in range(3):
+        part = at[axis] - np.floor(at[axis])
+        least = min(least, (1.0 + min(part, 1.0 - part)) * width)
+    for i in range(max(x - 1, 0), min(x + 1, size[0] - 1) + 1):
+        for j in range(max(y - 1, 0), min(y + 1, size[1] - 1) + 1):
+            row = (i * size[1] + j) * size[2]
+            row_begin: I64 = first[row + max(z - 1, 0)]
+            row_end: I64 = first[row + min(z + 1, size[2] - 1) + 1]
+            for k in range(row_begin, row_end):
+                g = listed[k]
+                ball = np.float64(bound[k, 4]), np.float64(bound[k, 5]), np.float64(bound[k, 6])
+                gap, far = minus(ball, middle), least + np.float64(bound[k, 7]) + shape[4]
+                if dot(gap, gap) < far * far:
+                    near = _has(weld, f, weld[3 * g]) or _has(weld, f, weld[3 * g + 1]) or _has(weld, f, weld[3 * g + 2])
+                    if not near:
+                        gap = minus(nearest_on(corners, g, middle), middle)
+                        least = min(least, np.sqrt(dot(gap, gap)))
+    return least
+
+
+@inlined
+def _has(weld: Array1[I64], f: I64, v: I64) -> BOOL:
+    """Whether a corner is one of a face."""
+    return weld[3 * f] == v or weld[3 * f + 1] == v or weld[3 * f + 2] == v
+
+
+@inlined
+def fetch_start(rings: Rings, face: I64) -> None:
+    """Prefetch what a walk reads of its first face."""
+    fetch_ahead(rings[0], 16 * face)
+    fetch_ahead(rings[0], 16 * face + 8)
+
+
+@inlined
+def walked_hit(grid: Grid, rings: Rings, start: I64, a: Vec3, w: Vec3) -> tuple[F64, I64]:
+    """As `first_hit`, by a walk from the face below the origin, which is near `start`; UNSURE where a walk cannot answer."""
+    planes, links, balls = rings
+    f = _below(planes, links, start, a)
+    if f < 0 or not _is_near(balls, f, a):
+        return np.inf, UNSURE
+    up = planes[f, 0, 0], planes[f, 0, 1], planes[f, 0, 2]
+    h = grid[0][5] / np.sqrt(dot(w, w))
+    g, count = f, 0
+    while g >= 0 and count < _WALK:
+        at, to = along(planes, g, 0, a[0], a[1], a[2]), towards(planes, g, 0, w[0], w[1], w[2])
+        a1, d1 = along(planes, g, 1, a[0], a[1], a[2]), towards(planes, g, 1, w[0], w[1], w[2])
+        a2, d2 = along(planes, g, 2, a[0], a[1], a[2]), towards(planes, g, 2, w[0], w[1], w[2])
+        t = -at / to
+        if t > h and t <= 1.0:
+            w1, w2 = a1 + t * d1, a2 + t * d2
+            least = min(min((1.0 - w1) - w2, w1), w2)
+            if least >= _SURE and _is_near(balls, f, (a[0] + t * w[0], a[1] + t * w[1], a[2] + t * w[2])):
+                return t, g
+            if least > -_SURE:
+                break
+        # Weights of what is below the ray or above it, seen along the normal of the first face, at its origin and by its length.
+        rise = towards(planes, g, 0, up[0], up[1], up[2])
+        r1, r2 = towards(planes, g, 1, up[0], up[1], up[2]) / rise, towards(planes, g, 2, up[0], up[1], up[2]) / rise
+        a1, d1, a2, d2 = a1 - r1 * at, d1 - r1 * to, a2 - r2 * at, d2 - r2 * to
+        a0, d0 = (1.0 - a1) - a2, -d1 - d2
+        out0, out1 = -a0 / d0 if d0 < 0 else 1.0, -a1 / d1 if d1 < 0 else 1.0
+        out = min(min(min(out0, out1), -a2 / d2 if d2 < 0 else 1.0), 1.0)
+        w0, w1, w2 = a0 + out * d0, a1 + out * d1, a2 + out * d2
+        if out == 1.0:
+            if min(min(w0, w1), w2) >= _SURE and _is_near(balls, f, plus(a, w)):
+                return np.inf, NOTHING
+            break
+        if max(max(min(w0, w1), min(w1, w2)), min(w2, w0)) < _SURE:
+            break
+        g = np.int64(links[g, LINK + _least_of(w0, w1, w2)])
+        count += 1
+    return np.inf, UNSURE
+
+
+@inlined
+def _below(planes: Array3[F64], links: Array2[I32], start: I64, place: Vec3) -> I64:
+    """The face that a place is above or below and not near a side of, searched over neighbours; -1 for none."""
+    f, count = start, 0
+    while f >= 0 and count < _SEARCH:
+        w1, w2 = along(planes, f, 1, place[0], place[1], place[2]), along(planes, f, 2, place[0], place[1], place[2])
+        w0 = (1.0 - w1) - w2
+        least = min(min(w0, w1), w2)
+        if least >= _SURE:
+            return f
+        f = np.int64(links[f, LINK + _least_of(w0, w1, w2)]) if least < 0 else -1
+        count += 1
+    return -1
+
+
+@inlined
+def _least_of(a: F64, b: F64, c: F64) -> I64:
+    return 0 if a <= b and a <= c else (1 if b <= c else 2)
+
+
+@inlined
+def _is_near(balls: Array2[F32], f: I64, place: Vec3) -> BOOL:
+    """Whether a place is in the ball of a face."""
+    middle = np.float64(balls[f, BALL]), np.float64(balls[f, BALL + 1]), np.float64(balls[f, BALL + 2])
+    gap = minus(place, middle)
+    return dot(gap, gap) < np.float64(balls[f, BALL + 3])
