@@ -51,6 +51,16 @@ def _stored(named: str, target: machine.Target, key: str) -> bytes | None:
     return _objects().get(key) if shipped_object is None else shipped_object
 
 
+def stored(key: str) -> bytes | None:
+    """What `store` stored under a key, in this run or an earlier one."""
+    return _objects().get(key)
+
+
+def store(key: str, data: bytes) -> None:
+    """Store what belongs to code, as code is stored: signed."""
+    _objects().put(key, data)
+
+
 def messages() -> list[str]:
     """Return messages for the user on why stored code was not used, or why new code is not stored."""
     return shipped.messages() + (list(_objects().messages) if _objects.cache_info().currsize else [])

@@ -124,6 +124,7 @@ OWN_FILES = {
     "diagnostics/sarif.py": "pages that come with antdsl",
     "lsp/features/tokens.py": "the grammar",
     "outputs/cache/lock.py": "its own lock, and what the system tells about a process",
+    "runtime/backends/native/stored.py": "the modules of antdsl",
     "preview/serving/pages.py": "the page that comes with antdsl",
     "numerics/host.py": "what the system tells about processors and memory",
     "cli/printing/messages.py": "the null device",

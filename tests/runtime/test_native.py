@@ -146,9 +146,7 @@ species a {
 @pytest.mark.parametrize("radius", [2.0, 0.0])
 def test_of_many_neighbours_the_nearest_count(radius: float) -> None:
     """More than the cap within the radius of each; with a radius of 0 all in one place, where ids decide."""
-    history = play(
-        DENSE, crowd(700, radius=radius), steps=2, option_sets=(*OPTION_SETS[:2], replace(NATIVE, chunk=200, shuffle_rows=3))
-    )
+    history = play(DENSE, crowd(700, radius=radius), steps=2, ways=(*OPTION_SETS[:2], replace(NATIVE, chunk=200, shuffle_rows=3)))
     counts = np.array(history["near_by"])
     assert counts.max() == limits.NEIGHBOURS and (radius == 0 or len(set(history["mood"])) > 1)
 
@@ -173,7 +171,7 @@ def test_too_many_in_a_radius_are_reported_as_by_numpy(monkeypatch: pytest.Monke
     messages = []
     for options in (NUMPY, NATIVE):
         with pytest.raises(FaultStop) as stop:
-            play(DENSE, crowd(400, radius=1.0), option_sets=(options,))
+            play(DENSE, crowd(400, radius=1.0), ways=(options,))
         messages.append(str(stop.value))
     assert messages[0] == messages[1] and "300" in messages[0]
 
@@ -193,7 +191,7 @@ species a {
 def test_refused_values_are_reported_as_by_the_reference() -> None:
     fault_reports = []
     for options in (Options(backend="reference"), NUMPY, NATIVE):
-        history = play(FAULTY, crowd(12, radius=40), steps=3, option_sets=(replace(options, on_fault="quarantine"),))
+        history = play(FAULTY, crowd(12, radius=40), steps=3, ways=(replace(options, on_fault="quarantine"),))
         log = history.world.faults
         fault_reports.append((log.count, [str(fault) for fault in log.reported], history["late"], history["mood"]))
     assert fault_reports[0] == fault_reports[1] == fault_reports[2] and fault_reports[0][0] > 2
@@ -202,7 +200,7 @@ def test_refused_values_are_reported_as_by_the_reference() -> None:
 def test_who_has_given_all_has_0_whatever_the_sign_of_its_zero() -> None:
     text = "species a { load = -(id * 0)\n state only { when true -> only { give all load to nest } } }"
     option_sets = (Options(backend="reference"), NUMPY, NATIVE)
-    history = play(text, crowd(9, radius=5), steps=2, option_sets=option_sets, items={"nest": (item("n", 0, 0, 9),)})
+    history = play(text, crowd(9, radius=5), steps=2, ways=option_sets, items={"nest": (item("n", 0, 0, 9),)})
     assert np.signbit(history.at("load", 0)).all() and not np.signbit(history["load"]).any()
 
 
@@ -286,11 +284,7 @@ define void @a(ptr %p) {
 
 def reference_operations(program: str, monkeypatch: pytest.MonkeyPatch) -> list[str]:
     """What the reference is asked to work out while a crowd takes two steps with the same states as NumPy's."""
-    history, plain, node_names = (
-        play(program, crowd(300, radius=60), steps=2, option_sets=(NUMPY,)),
-        native_backend.Agent.value,
-        [],
-    )
+    history, plain, node_names = play(program, crowd(300, radius=60), steps=2, ways=(NUMPY,)), native_backend.Agent.value, []
 
     def value(agent: native_backend.Agent, node: ir.Node) -> Any:
         node_names.append(node.op)
@@ -334,7 +328,7 @@ def test_what_holds_some_agents_is_found_of_lines_sheets_and_clouds() -> None:
 def test_arrays_of_cells_that_are_no_longer_needed_are_released() -> None:
     """Radii that grow with time ask for cells of other sizes all the time."""
     text = "species a { n = 0\n reach = 5 mm\n state s { reach = reach * 1.06\n n = count(neighbours(reach)) } }"
-    history = play(text, crowd(200, radius=40), steps=60, option_sets=(NATIVE, NUMPY))
+    history = play(text, crowd(200, radius=40), steps=60, ways=(NATIVE, NUMPY))
     grids = history.world.backend._grids  # type: ignore[attr-defined]
     assert 0 < len(grids._stored) <= 1 + 16 and all(size < np.inf for _, size in grids._stored)
     assert min(each.used for each in grids._stored.values()) >= grids._step - 16
@@ -368,6 +362,5 @@ def test_another_number_needs_no_other_code() -> None:
     texts = []
     for speed in ("10", "25"):
         text = f"species a {{ max_speed {speed} mm/s\n pace = 1\n state only {{ pace = pace * 1.5 + {speed} }} }}"
-        history = play(text, option_sets=(NATIVE,))
-        texts.append(history.world.backend.ready.program.text)  # type: ignore[attr-defined]
+        texts.append(listing.of_plan(play(text, ways=(NATIVE,)).world.plan, machine.host()).text)
     assert texts[0] == texts[1]

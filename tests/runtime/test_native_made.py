@@ -17,11 +17,13 @@ import numpy as np
 import pytest
 from meaning import crowd, play
 
+import antdsl
 from antdsl import user_folders
 from antdsl.machine_code import codes, machine, object_cache
 from antdsl.runtime import Options, World, bind, state_hash, step
 from antdsl.runtime.backends.native import backend as native_backend
-from antdsl.runtime.backends.native import ready
+from antdsl.runtime.backends.native import ready, stored
+from antdsl.runtime.faults import FaultStop
 
 pytestmark = pytest.mark.skipif(not machine.available(), reason="llvmlite is not installed")
 
@@ -71,7 +73,7 @@ species a {{
 
 
 def edited(sign: str = "+", number: str = "1.5") -> World:
-    return play(EDITED.format(number=number, sign=sign), crowd(20, radius=50), steps=3, option_sets=(NATIVE,)).world
+    return play(EDITED.format(number=number, sign=sign), crowd(20, radius=50), steps=3, ways=(NATIVE,)).world
 
 
 def test_code_of_another_run_is_used(afresh: Callable[[], list[str]]) -> None:
@@ -80,7 +82,7 @@ def test_code_of_another_run_is_used(afresh: Callable[[], list[str]]) -> None:
     assert len(compiled) > 1
     compiled = afresh()
     world = edited()
-    assert state_hash(world) == expected and compiled == [] and world.backend.messages() == []
+    assert state_hash(world) == expected and compiled == [] and world.backend.told() == []
 
 
 def test_code_that_may_be_harmful_is_not_loaded_and_the_run_goes_on(afresh: Callable[[], list[str]], tmp_path: Path) -> None:
@@ -91,7 +93,7 @@ def test_code_that_may_be_harmful_is_not_loaded_and_the_run_goes_on(afresh: Call
     compiled = afresh()
     world = edited()
     assert state_hash(world) == expected and len(compiled) > 1
-    assert world.backend.messages() and all("damaged, or was not written" in each for each in world.backend.messages())
+    assert world.backend.told() and all("damaged, or was not written" in each for each in world.backend.told())
     compiled = afresh()
     assert state_hash(edited()) == expected and compiled == [], "it was replaced"
 
@@ -107,11 +109,51 @@ def test_an_edit_compiles_what_it_changes_and_a_number_nothing(afresh: Callable[
     assert len(compiled) == 1 and "@a.act.0" in compiled[0]
 
 
+def test_a_stored_plan_is_run_without_its_text_and_tells_the_same_faults(
+    afresh: Callable[[], list[str]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fault() -> str:
+        with pytest.raises(FaultStop) as stop:
+            play(EDITED.format(number="1e30", sign="* 1e9 *"), crowd(20, radius=50), steps=6, ways=(NATIVE,))
+        return str(stop.value)
+
+    afresh()
+    message, expected = fault(), state_hash(edited())
+    compiled = afresh()
+    monkeypatch.setattr(ready, "program", lambda *what: pytest.fail("the text was written"))
+    assert state_hash(edited()) == expected and fault() == message and compiled == []
+    assert message.startswith("test.ant:18:")
+
+
+def test_whatever_a_text_depends_on_changes_the_key_of_its_plan(monkeypatch: pytest.MonkeyPatch) -> None:
+    world, other, host = edited(), edited("-"), machine.host()
+
+    def key(of: World = world, facts: ready.Facts = ready.Facts(False, False), target: machine.Target = host) -> str:
+        subject = stored.subject(of.plan, of.backend.blocks, facts, target)  # type: ignore[attr-defined]
+        assert subject is not None
+        return subject.key
+
+    keys = [key(), key(other), key(facts=ready.Facts(True, False)), key(facts=ready.Facts(False, True)), key(target=machine.ANY)]
+    keys.append(key(facts=ready.Facts(False, False, timed=True)))
+    assert key() == key(edited())
+    monkeypatch.setattr(stored, "_sources", lambda: "other modules")
+    keys.append(key())
+    monkeypatch.setattr(object_cache, "versions", lambda: ("another LLVM",))
+    keys.append(key())
+    assert len(set(keys)) == len(keys)
+
+
+def test_of_modules_without_sources_nothing_is_stored(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setattr(antdsl, "__file__", str(tmp_path / "__init__.pyc"))
+    monkeypatch.setattr(stored, "_sources", stored._sources.__wrapped__)
+    world = edited()
+    assert stored.subject(world.plan, world.backend.blocks, ready.Facts(False, False), machine.host()) is None  # type: ignore[attr-defined]
+
+
 def programs_saved(count: int) -> list[World]:
     """Worlds of a program that is saved again and again, each with a line that differs."""
     return [
-        play(EDITED.format(number=1, sign="+" + k * " pace *"), crowd(3, radius=5), option_sets=(NUMPY,)).world
-        for k in range(count)
+        play(EDITED.format(number=1, sign="+" + k * " pace *"), crowd(3, radius=5), ways=(NUMPY,)).world for k in range(count)
     ]
 
 
@@ -122,9 +164,12 @@ def test_the_latest_request_is_compiled_first_and_one_without_a_waiter_is_not_co
     coming = [ready.beside(each.plan, each.backend.blocks, ready.Facts(False, False)) for each in worlds]  # type: ignore[attr-defined]
     del coming[1::2]
     go.set()
-    compiled_codes = [each.result() for each in coming]
+    for each in coming:
+        each.result()
     blocks = [text for text in compiled if "@a.act.0" in text]
-    assert blocks == [each.program.units["a.act.0"] for each in reversed(compiled_codes)] and len(blocks) == 4
+    still = ready.Facts(False, False)
+    texts = [ready.program(each.plan, each.backend.blocks, still, machine.host()) for each in worlds[::2]]  # type: ignore[attr-defined]
+    assert blocks == [each.units["a.act.0"] for each in reversed(texts)] and len(blocks) == 4
     ready._worker().submit(int).result()
     assert not ready._requests
 

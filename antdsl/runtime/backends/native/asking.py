@@ -24,7 +24,7 @@ def _deposit(b: BlockWriter, each: Instruction, what: ir.Request) -> None:
     """As `fields.pheromone.PheromoneField.deposit`: whole numbers of a unit, which add in any order."""
     e, mask, name = b.e, b.mask[-1], what.of
     amount: Lanes = b.slot(each.inputs[0])
-    mask = _sound(b, mask, amount, EFFECTS[what.op].refused.format(of=name), what.span)
+    mask = _sound(b, mask, amount, EFFECTS[what.op].refused.format(of=name), each)
     cell = e.read(b.base("cell", name), b.row, I32)
     laid = mask & (cell >= 0) & (amount != 0)
     fetch_ahead(b, name, b.base("field", name, "pending"), 8)
@@ -76,10 +76,10 @@ def _write_down(b: BlockWriter, each: Instruction, mask: Lanes, values: list[Lan
         e.put(total, old_total + count)
 
 
-def _sound(b: BlockWriter, mask: Lanes, amount: Lanes, what: str, span: Any) -> Lanes:
+def _sound(b: BlockWriter, mask: Lanes, amount: Lanes, what: str, by: Instruction) -> Lanes:
     """Return the mask of agents with a finite amount; the others are at fault."""
     good: Lanes = np.isfinite(amount)
-    b.refuse(mask & ~good, what, span)
+    b.refuse(mask & ~good, what, by)
     return mask & good
 
 
@@ -93,7 +93,7 @@ def _request(b: BlockWriter, each: Instruction, what: ir.Request) -> None:
         good = np.isfinite(numbers[0])
         for arg in numbers[1:]:
             good = good & np.isfinite(arg)
-        b.refuse(mask & ~good, row.refused.format(of=what.of), what.span)
+        b.refuse(mask & ~good, row.refused.format(of=what.of), each)
         mask = mask & good
     if row.above_0 and what.args[0] is not None:
         mask = mask & (args[0] > 0)
@@ -106,7 +106,7 @@ def _claim(b: BlockWriter, each: Instruction, what: ir.Claim) -> None:
     amount = e.constant(np.inf, F32)
     if what.amount is not None:
         amount = b.slot(next(slots))
-        mask = _sound(b, mask, amount, f"take {what.attribute or what.of}", what.span)
+        mask = _sound(b, mask, amount, f"take {what.attribute or what.of}", each)
     _write_down(b, each, mask, [item, amount])
 
 
@@ -117,7 +117,7 @@ def _give(b: BlockWriter, each: Instruction, what: ir.Give) -> None:
     amount = had
     if what.amount is not None:
         amount = b.slot(each.inputs[1])
-        mask = _sound(b, mask, amount, f"give {what.own}", what.span)
+        mask = _sound(b, mask, amount, f"give {what.own}", each)
     is_valid = mask & (item >= 0) & (item < b.number(I32, "items", what.items))
     zero = e.constant(0.0, F32)
     most = e.where(had > zero, had, zero)

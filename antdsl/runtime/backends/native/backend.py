@@ -3,7 +3,7 @@ same."""
 
 from __future__ import annotations
 
-from concurrent.futures import Future
+from concurrent.futures import Future, wait
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +16,7 @@ from antdsl.runtime.backends.native import listing
 from antdsl.runtime.backends.native.block import Near
 from antdsl.runtime.backends.native.grids import Arrays, Grids
 from antdsl.runtime.backends.native.programs import Facts, program
-from antdsl.runtime.backends.native.ready import Ready, Unavailable, beside, known
+from antdsl.runtime.backends.native.ready import Ready, Unavailable, beside, find, known
 from antdsl.runtime.backends.native.rooms import Rooms
 from antdsl.runtime.backends.native.runner import Block
 from antdsl.runtime.backends.numpy_backend import NumpyBackend
@@ -26,6 +26,7 @@ from antdsl.runtime.world import AXES, Population, World
 
 _MANY = 2_000  # agents; a few steps of so many make up for loading a program's code
 _LOADING = 0.2  # s of processor time of the steps before it
+_LOADED = 1.0  # s to wait for code that is stored
 _SAMPLED = 8  # agents with radii computed before the first search, to choose cells by
 _CELL = 8  # agents in a cell, where no radius is known
 
@@ -41,6 +42,7 @@ class NativeBackend(NumpyBackend):
         self._coming: Future[Ready] | None = None
         self._without: str | None = None  # why there is no machine code and will be none
         self._begun = False
+        self._sought: set[Facts] = set()  # of code that was sought in the store
         self.ready: Ready | None = None
         self._running: dict[tuple[str, str], Block] = {}
         self._timed = False  # the code to run or to load is timed by line
@@ -91,16 +93,23 @@ class NativeBackend(NumpyBackend):
         return {f"instructions {name}": number for name, number in listing.counts(native_program).items()}
 
     def _look_for_code(self, world: World, waits: bool) -> None:
-        """Have code made once steps will pay for it, unless it exists: after the first step, which a caller waits for."""
+        """Have code made once steps will pay for it, unless it is there: after the first step, which somebody waits for. Code
+        that an earlier run has stored is loaded before the step."""
         if self.ready is not None or self._without is not None:
             return
         if self._timed and machine.available() and not machine.host().x86:
             return  # elsewhere a program may not be allowed to read the counter
         facts = Facts.of(world.setting, timed=self._timed)
         ready = known(world.plan, facts)
-        is_due = waits or (self._begun and (len(world) >= _MANY or sum(world.worked.values()) >= _LOADING))
-        if ready is None and self._coming is None and is_due:
-            self._coming = beside(world.plan, self.blocks, facts)
+        pays = len(world) >= _MANY or sum(world.worked.values()) >= _LOADING
+        if ready is None and self._coming is None and (waits or pays):
+            is_first = facts not in self._sought
+            self._sought.add(facts)
+            stored = find(world.plan, self.blocks, facts) if is_first else None
+            if waits or self._begun or stored is not None:
+                self._coming = beside(world.plan, self.blocks, facts, stored)
+                if stored is not None:
+                    wait([self._coming], _LOADED)
         if self._coming is not None and (waits or self._coming.done()):
             try:
                 ready = self._coming.result()
@@ -143,7 +152,7 @@ class NativeBackend(NumpyBackend):
 
     def _code(self, species: str, block: str) -> Block | None:
         """A block's machine code, made ready to run; None where it has none."""
-        if self.ready is None or (species, block) not in self.ready.program.blocks:
+        if self.ready is None or (species, block) not in self.ready.written:
             return None
         native_block = self._running[species, block] = Block(self.ready, species, block, self._rooms)
         return native_block

@@ -93,7 +93,7 @@ class BlockCode:
     layout: Layout
     schedule: Schedule
     lines: Lines | None = None  # of code that is timed by line
-    faults: list[tuple[str, Any]] = field(default_factory=list)  # of rejected values: what, and where in the text
+    faults: list[tuple[str, Instruction]] = field(default_factory=list)  # of refused values: what is refused, and by what
     near: list[Near] = field(default_factory=list)
     lazy_nodes: list[ir.Node] = field(default_factory=list)
     bounds: dict[int, ir.Node] = field(default_factory=dict)  # `scents.bounds`
@@ -376,16 +376,16 @@ class BlockWriter(Writer):
             good = np.isfinite(value)
             if what.infinite:
                 good = good | (value == float("inf"))
-            self.refuse(mask & ~good, what.register, what.span)
+            self.refuse(mask & ~good, what.register, each)
             mask = mask & good
         self.e.write_where(mask, self.base("now", what.register), self.row, value)
 
-    def refuse(self, bad: Lanes, what: str, span: Any) -> None:
+    def refuse(self, bad: Lanes, what: str, by: Instruction) -> None:
         """Note the rows with a value that is not finite: first of the eight, then the number of the rejected value above their
         bits."""
         e, faults = self.e, self.code.faults
         with e.inside(e.any_lane(bad)):
-            faults.append((what, span))  # one for each place that notes: there is room for one of each by eight rows
+            faults.append((what, by))  # one for each place that notes: there is room for one of each by eight rows
             notes = self.base("notes")
             count = e.read_one(notes, 0, I64)
             first = e.address(notes, count * 2, I64)

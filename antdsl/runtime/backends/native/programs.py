@@ -13,7 +13,7 @@ from antdsl.plan import ir
 from antdsl.runtime.backends.compile import BlockCompiler, Instruction
 from antdsl.runtime.backends.native import search, sets
 from antdsl.runtime.backends.native.asking import ask
-from antdsl.runtime.backends.native.block import BlockCode, BlockWriter
+from antdsl.runtime.backends.native.block import BlockCode, BlockWriter, Lower
 from antdsl.runtime.backends.native.layout import KINDS, Layout
 from antdsl.runtime.backends.native.marks import Lines
 from antdsl.runtime.backends.native.scents import bounds
@@ -22,6 +22,7 @@ from antdsl.runtime.backends.native.senses import GUARDS, NATIVE, OF_PAIRS, ON_M
 from antdsl.runtime.pairs import only_the_nearest
 from antdsl.scene.setting import Setting
 
+Blocks = Mapping[tuple[str, str], BlockCompiler]
 _RUNS = ("decide", "act", "blend")
 
 
@@ -57,10 +58,9 @@ class Facts:
         return cls(any(name in setting.surfaces for name in setting.moves.meshes), setting.detail is not None, timed)
 
 
-def program(plan: ir.Plan, blocks: Mapping[tuple[str, str], BlockCompiler], facts: Facts, target: Target) -> Program:
-    """All blocks of a plan but births, which are few."""
-    guards = {} if facts.detail else GUARDS
-    senses = {op: lower for op, lower in NATIVE.items() if not (facts.moving and op in ON_MOVING_GROUND)}
+def begin_blocks(plan: ir.Plan, blocks: Blocks, facts: Facts) -> dict[tuple[str, str], BlockCode]:
+    """All blocks of a plan but births, which are few, with their instructions in stages."""
+    senses = _senses(facts)
 
     def lowers(of: ir.SpeciesPlan, node: ir.Node) -> bool:
         if node.op.startswith("reduce."):
@@ -70,25 +70,38 @@ def program(plan: ir.Plan, blocks: Mapping[tuple[str, str], BlockCompiler], fact
     def costly(node: ir.Node) -> bool:
         return node.op.startswith("reduce.") or node.op == "field.strongest"
 
+    output = {}
+    for (species, block), compiler in blocks.items():
+        if block in _RUNS and compiler.root.code:
+            of = plan.species[species]
+            order = schedule(compiler, partial(lowers, of), costly)
+            lines = Lines(compiler) if facts.timed else None
+            output[species, block] = BlockCode(of, [], Layout(), order, lines, bounds=bounds(compiler, order))
+    return output
+
+
+def program(plan: ir.Plan, blocks: Blocks, facts: Facts, target: Target) -> Program:
+    """The blocks of a plan with their text."""
+    guards = {} if facts.detail else GUARDS
+
     def combine(field: str) -> str:
         return plan.fields[field].combine
 
     module = Module(target)
-    block_codes: dict[tuple[str, str], BlockCode] = {}
-    for (species, block), compiler in blocks.items():
-        if block not in _RUNS or not compiler.root.code:
-            continue
-        order = schedule(compiler, partial(lowers, plan.species[species]), costly)
-        lines = Lines(compiler) if facts.timed else None
-        code = block_codes[species, block] = BlockCode(
-            plan.species[species], [], Layout(), order, lines, bounds=bounds(compiler, order)
-        )
+    output = begin_blocks(plan, blocks, facts)
+    for (species, block), code in output.items():
+        compiler, order = blocks[species, block], code.schedule
         for stage in range(order.stages):
             name = f"{species}.{block}.{stage}"
-            BlockWriter(module, code, compiler, stage, senses, _reduce, guards, ask, combine).write(name)
+            BlockWriter(module, code, compiler, stage, _senses(facts), _reduce, guards, ask, combine).write(name)
             code.names.append(name)
         for each in (each for group in order.calls for each in group):
             if each.does not in PAIRED and isinstance(each.what, ir.Node):
                 for part, kind in enumerate(ir.TUPLES.get(each.what.op, (each.what.kind,))):
                     code.layout.array(each.out, part, KINDS[kind])
-    return Program(module.text(), module.functions, {name: module.unit(name) for name in module.entries()}, block_codes)
+    return Program(module.text(), module.functions, {name: module.unit(name) for name in module.entries()}, output)
+
+
+def _senses(facts: Facts) -> dict[str, Lower]:
+    """Senses that have machine code in a world."""
+    return {op: lower for op, lower in NATIVE.items() if not (facts.moving and op in ON_MOVING_GROUND)}

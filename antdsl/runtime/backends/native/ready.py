@@ -10,7 +10,7 @@ from collections.abc import Callable, Generator, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, partial
 from threading import Lock
 from typing import Any
 from weakref import ReferenceType, WeakKeyDictionary, ref
@@ -18,15 +18,15 @@ from weakref import ReferenceType, WeakKeyDictionary, ref
 from antdsl.machine_code import codes, machine
 from antdsl.plan import ir
 from antdsl.runtime.backends import numpy_calls
-from antdsl.runtime.backends.compile import BlockCompiler, Does, Instruction, Run
-from antdsl.runtime.backends.native.programs import Facts, Program, program
+from antdsl.runtime.backends.compile import Does, Instruction, Run
+from antdsl.runtime.backends.native import stored
+from antdsl.runtime.backends.native.block import BlockCode
+from antdsl.runtime.backends.native.programs import Blocks, Facts, Program, program
 from antdsl.runtime.sensing import SENSES
 
 _plans: WeakKeyDictionary[ir.Plan, dict[Facts, Ready]] = WeakKeyDictionary()
 _requests: list[tuple[ReferenceType[Future[Ready]], Generator[None, None, Ready]]] = []
 _guard = Lock()
-
-Blocks = Mapping[tuple[str, str], BlockCompiler]
 
 
 class Unavailable(Exception):
@@ -35,13 +35,13 @@ class Unavailable(Exception):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Ready:
-    """`blocks` as compiled, which the rest refers to. `codes`: by the name of a function. `calls`: makes the call of each
-    instruction without machine code. `together`: the calls after each stage, by block and stage; calls of one sense with one name
-    are combined."""
+    """`blocks` as they were compiled, which the rest refers to; `written` is what became of them; `codes` by the name of a
+    function; `calls` makes each call of an instruction that has no machine code; `together`: by block and stage what is called
+    after it, those of one sense with one name at once."""
 
     blocks: Blocks
     facts: Facts
-    program: Program
+    written: Mapping[tuple[str, str], BlockCode]
     codes: Mapping[str, machine.Code]
     calls: Mapping[Instruction, Run]
     together: Mapping[tuple[str, str, int], list[list[Instruction]]]
@@ -57,38 +57,54 @@ def known(plan: ir.Plan, facts: Facts) -> Ready | None:
         return _plans.get(plan, {}).get(facts)
 
 
-def _build_ready(plan: ir.Plan, blocks: Blocks, facts: Facts) -> Generator[None, None, Ready]:
+def _build_ready(plan: ir.Plan, blocks: Blocks, facts: Facts, known: stored.Written | None) -> Generator[None, None, Ready]:
     """Compile a plan's blocks for this processor, one piece of work per step of the generator. Raises Unavailable."""
     if why := machine.unavailable():
         raise Unavailable(why)
-    native_program = program(plan, blocks, facts, machine.host())
+    host = machine.host()
+    text = cache(lambda: program(plan, blocks, facts, host))
+    if known is None:
+        subject = stored.subject(plan, blocks, facts, host)
+        known = {name: stored.text_key(each) for name, each in text().units.items()}, dict(text().blocks)
+        if subject is not None:
+            stored.write(subject, text())
+    units, written = known
     yield
     calls: dict[Instruction, Run] = {}
     together: dict[tuple[str, str, int], list[list[Instruction]]] = {}
-    for key, code in native_program.blocks.items():
+    for key, code in written.items():
         for stage, called in enumerate(code.schedule.calls):
             together[(*key, stage)] = _groups(called)
         for each in (each for called in code.schedule.calls for each in called):
             calls[each] = numpy_calls.call(each, blocks[key])(each.out, each.inputs, None)
     machine_codes = {}
-    for name, text in native_program.units.items():
-        machine_codes[name] = codes.code(text)
+    for name, named in units.items():
+        machine_codes[name] = codes.code(named, partial(_unit, text, name))
         yield
-    ready = Ready(blocks, facts, native_program, machine_codes, calls, together)
+    ready = Ready(blocks, facts, written, machine_codes, calls, together)
     with _guard:
         _plans.setdefault(plan, {})[facts] = ready
     return ready
 
 
-def beside(plan: ir.Plan, blocks: Blocks, facts: Facts) -> Future[Ready]:
-    """Return a future of a plan's blocks as machine code for this processor, compiled in a thread. The future raises Unavailable
-    if they cannot be compiled.
+def _unit(text: Callable[[], Program], name: str) -> str:
+    return text().units[name]
 
-    The latest request is served first, because the user is viewing its result. Work continues only while the caller holds the
-    future. If a program is saved again before its code is ready, the previous world is gone and its compilation stops."""
+
+def find(plan: ir.Plan, blocks: Blocks, facts: Facts) -> stored.Written | None:
+    """What an earlier run stored of a plan's blocks: their code can be loaded at once."""
+    subject = stored.subject(plan, blocks, facts, machine.host()) if machine.available() else None
+    return None if subject is None else stored.read(subject)
+
+
+def beside(plan: ir.Plan, blocks: Blocks, facts: Facts, known: stored.Written | None = None) -> Future[Ready]:
+    """A plan's blocks as machine code for this processor, made in a thread; Unavailable where it cannot be made. What was asked
+    for last is made first: it is what somebody looks at. It is made as long as whoever asked holds what this gives: of a program
+    that is saved again before its code has come, the world before is gone, and nothing more is made for it. `known`: what
+    `find` gives."""
     coming: Future[Ready] = Future()
     with _guard:
-        _requests.append((ref(coming), _build_ready(plan, blocks, facts)))
+        _requests.append((ref(coming), _build_ready(plan, blocks, facts, known)))
     _worker().submit(_work)
     return coming
 

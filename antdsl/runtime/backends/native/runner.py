@@ -38,7 +38,7 @@ class Block:
     """A block of one species, ready to be run step after step."""
 
     def __init__(self, ready: Ready, species: str, name: str, rooms: Rooms) -> None:
-        self.code, self.compiler = ready.program.blocks[species, name], ready.blocks[species, name]
+        self.code, self.compiler = ready.written[species, name], ready.blocks[species, name]
         self.tables = Tables(self.code, rooms)
         self.made = ready.calls
         self.uniform = {slot: node for node, slot in self.compiler.uniforms.items()}
@@ -138,7 +138,7 @@ class Round:
         coming = iter(self.chunks)
 
         def run_parts(_: int) -> None:
-            for each in coming:  # the next chunk that no thread has taken
+            for each in coming:  # the next one that is free
                 work(each)
 
         if len(self.chunks) > 1:
@@ -234,9 +234,9 @@ class Chunk:
         notes = self.lane.notes
         for k in range(int(notes[0])):
             row, fault_word = int(notes[1 + 2 * k]), int(notes[2 + 2 * k])
-            refused, span = self.block.code.faults[fault_word >> WIDTH]
+            refused, by = self.block.code.faults[fault_word >> WIDTH]
             rows = row + np.flatnonzero([fault_word >> bit & 1 for bit in range(WIDTH)])
-            self.population.effects.faults.append(FaultEntry(self.block.compiler.name, refused, span, rows))
+            self.population.effects.faults.append(FaultEntry(self.block.compiler.name, refused, by.span, rows))
 
     # --- calls ---------------------------------------------------------------------------------------------------------
 

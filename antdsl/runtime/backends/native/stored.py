@@ -1,0 +1,214 @@
+"""What a plan became as machine code, stored for other runs: where its functions find what they read, and keys of their texts.
+
+With it a run loads the code of a plan without writing its text, which takes longer than all the rest. The key is a hash of the
+plan, of all modules of antdsl and of what else the text depends on. Files are those of `object_cache`, signed, since they say
+which address the code reads from which place."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Iterable, Mapping
+from contextlib import suppress
+from dataclasses import dataclass, fields, is_dataclass
+from enum import Enum
+from functools import cache
+from hashlib import blake2b
+from pathlib import Path
+from typing import Any
+
+import antdsl
+from antdsl.machine_code import codes, object_cache
+from antdsl.machine_code.machine import Target
+from antdsl.plan import ir
+from antdsl.runtime.backends.compile import Instruction
+from antdsl.runtime.backends.metering import instructions_of
+from antdsl.runtime.backends.native.block import BlockCode, Near
+from antdsl.runtime.backends.native.programs import Blocks, Facts, Program, begin_blocks
+from antdsl.source import Span
+
+_Place = tuple[str, str]
+Written = tuple[Mapping[str, str], Mapping[_Place, BlockCode]]  # keys of texts by the names of functions, and the blocks
+
+
+class _Unknown(Exception):
+    """Something that has no form in a file, or that may not be the same in another run."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Subject:
+    """A plan and its blocks, as a file refers to them: `nodes` and `instructions` by number."""
+
+    plan: ir.Plan
+    blocks: Blocks
+    facts: Facts
+    key: str
+    nodes: Mapping[ir.Node, int]
+    instructions: Mapping[_Place, list[Instruction]]
+
+
+def subject(plan: ir.Plan, blocks: Blocks, facts: Facts, target: Target) -> Subject | None:
+    """What finds and reads a file about a plan; None where nothing can be stored of it."""
+    written = _Written()
+    instructions = {place: instructions_of(compiler.root) for place, compiler in blocks.items()}
+    try:
+        written.add((_sources(), facts.moving, facts.detail, facts.timed, plan))
+        if facts.timed:
+            written.add([_line(each) for place in instructions.values() for each in place])
+    except (_Unknown, OSError):
+        return None
+    text = "program " + blake2b("\n".join(written.parts).encode("utf-8", "surrogatepass"), digest_size=32).hexdigest()
+    key = object_cache.key(text, target, versions=object_cache.versions())
+    return Subject(plan, blocks, facts, key, written.numbers, instructions)
+
+
+def text_key(text: str) -> str:
+    """What stands for the text of functions."""
+    return "program text " + blake2b(text.encode(), digest_size=32).hexdigest()
+
+
+def read(of: Subject) -> Written | None:
+    """What is stored; None where nothing is."""
+    data = codes.stored(of.key)
+    if data is None:
+        return None
+    nodes = list(of.nodes)
+    with suppress(ValueError, TypeError, KeyError, IndexError):
+        read = json.loads(data)
+        blocks = begin_blocks(of.plan, of.blocks, of.facts)
+        for place, code in blocks.items():
+            _fill(code, read["blocks"][" ".join(place)], nodes, of.instructions[place])
+        return read["units"], blocks
+    return None
+
+
+def write(of: Subject, program: Program) -> None:
+    """Store what a plan became, where all of it has a form."""
+    with suppress(_Unknown, KeyError):
+        blocks = {" ".join(place): _form(code, of.nodes, of.instructions[place]) for place, code in program.blocks.items()}
+        units = {name: text_key(text) for name, text in program.units.items()}
+        codes.store(of.key, json.dumps({"units": units, "blocks": blocks}).encode())
+
+
+def _form(code: BlockCode, nodes: Mapping[ir.Node, int], instructions: list[Instruction]) -> dict[str, Any]:
+    numbers = {each: number for number, each in enumerate(instructions)}
+    layout = code.layout
+    return {
+        "names": code.names,
+        "pointers": [_key_form(key, nodes) for key in layout.pointers],
+        "numbers": [_key_form(key, nodes) for key in layout.numbers],
+        "arrays": [[*key, kind] for key, kind in layout.arrays.items()],
+        "faults": [[what, numbers[each]] for what, each in code.faults],
+        "near": [[each.species, [nodes[node] for node in each.sets], each.beside] for each in code.near],
+        "kept": [nodes[node] for node in code.lazy_nodes],
+        "lists": [numbers[each] for each in code.lists],
+        "needs": [numbers[each] for each in code.needs],
+        "guarded": [[numbers[each], slot] for each, slot in code.guarded.items()],
+        "lines": None if code.lines is None else code.lines.told,
+    }
+
+
+def _fill(code: BlockCode, form: Mapping[str, Any], nodes: list[ir.Node], instructions: list[Instruction]) -> None:
+    code.names[:] = form["names"]
+    code.layout.pointers = {_key_of(key, nodes): place for place, key in enumerate(form["pointers"])}
+    code.layout.numbers = {_key_of(key, nodes): place for place, key in enumerate(form["numbers"])}
+    code.layout.arrays = {(slot, part): kind for slot, part, kind in form["arrays"]}
+    code.faults[:] = [(what, instructions[number]) for what, number in form["faults"]]
+    code.near[:] = [Near(species, [nodes[number] for number in sets], beside) for species, sets, beside in form["near"]]
+    code.lazy_nodes[:] = [nodes[number] for number in form["kept"]]
+    code.lists[:] = [instructions[number] for number in form["lists"]]
+    code.needs[:] = [instructions[number] for number in form["needs"]]
+    code.guarded.update({instructions[number]: slot for number, slot in form["guarded"]})
+    if code.lines is not None:
+        code.lines.told[:] = form["lines"]
+
+
+def _key_form(key: Iterable[Any], nodes: Mapping[ir.Node, int]) -> list[Any]:
+    """A key of a layout; a node as a list with its number."""
+    form: list[Any] = []
+    for each in key:
+        if isinstance(each, ir.Node):
+            form.append([nodes[each]])
+        elif each is None or type(each) in (str, int, bool):
+            form.append(each)
+        else:
+            raise _Unknown
+    return form
+
+
+def _key_of(form: list[Any], nodes: list[ir.Node]) -> tuple[Any, ...]:
+    return tuple([nodes[each[0]] if isinstance(each, list) else each for each in form])
+
+
+class _Written:
+    """A text that is the same for the same values, without the places of the program that they come from; `numbers` of nodes in
+    the order in which they are met."""
+
+    def __init__(self) -> None:
+        self.parts: list[str] = []
+        self.numbers: dict[ir.Node, int] = {}
+
+    def add(self, value: Any) -> None:
+        kind = type(value)
+        if kind is ir.Node:
+            self._node(value)
+        elif value is None or kind in (str, int, float, bool):
+            self.parts.append(f"{kind.__name__} {value!r}")
+        elif isinstance(value, Span):
+            self.parts.append("span")
+        elif isinstance(value, Enum):
+            self.parts.append(f"{kind.__name__} {value.name}")
+        elif isinstance(value, Mapping):
+            self.parts.append(f"mapping {len(value)}")
+            for item in value.items():
+                self.add(item)
+        elif isinstance(value, tuple | list):
+            self.parts.append(f"sequence {len(value)}")
+            for each in value:
+                self.add(each)
+        elif is_dataclass(value):
+            self.parts.append(kind.__name__)
+            for each in fields(value):
+                self.add(getattr(value, each.name))
+        else:
+            raise _Unknown
+
+    def _node(self, node: ir.Node) -> None:
+        """A node once all that it is made of is written; one that is written already by its number."""
+        pending = [node]
+        while pending:
+            last = pending[-1]
+            missing = [] if last in self.numbers else [arg for arg in last.args if arg not in self.numbers]
+            if missing:
+                pending += missing[::-1]
+                continue
+            pending.pop()
+            if last not in self.numbers:
+                self.numbers[last] = len(self.numbers)
+                self.parts.append(f"node {last.op} {[self.numbers[arg] for arg in last.args]} {last.kind.name} {last.rate.name}")
+                self.add(last.attrs)
+        self.parts.append(f"number {self.numbers[node]}")
+
+
+def _line(each: Instruction) -> tuple[str, int, int]:
+    """The line and the layer that an instruction is timed for."""
+    span = each.span
+    return ("", 0, each.layer) if span is None else (span.source.path, span.source.line_column(span.start)[0], each.layer)
+
+
+@cache
+def _sources() -> str:
+    """A hash of all modules of antdsl. Raises _Unknown where they were installed without their sources."""
+    hashed, package = blake2b(digest_size=32), Path(antdsl.__file__).parent
+    count = 0
+    for folder, inner, names in os.walk(package):
+        inner[:] = sorted(name for name in inner if name not in ("__pycache__", "web", "page", "objects"))
+        for name in sorted(names):
+            if name.endswith(".py"):
+                with open(os.path.join(folder, name), "rb") as file:
+                    data = file.read()
+                hashed.update(f"{folder[len(str(package)) :]}/{name} {len(data)};".encode() + data)
+                count += 1
+    if not count:
+        raise _Unknown
+    return hashed.hexdigest()
