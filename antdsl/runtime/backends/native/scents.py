@@ -29,7 +29,7 @@ def reached(w: Any, node: ir.Node, bound: ir.Node) -> Lanes:
         is_reached: Lanes = w.e.gather(w.base("reached", *node.attrs, bound), own_cell(w, node.attrs[0]), BOOL)
         return is_reached
 
-    may: Lanes = w.e.once(("reached", *node.attrs, bound), make)
+    may: Lanes = w.e.get_or_make(("reached", *node.attrs, bound), make)
     return may
 
 

@@ -51,7 +51,7 @@ def _words(w: Any, site: str, block: int) -> list[Lanes]:
 
     def make() -> list[Lanes]:
         e, wide = w.e, text_type(I64, WIDTH)
-        out = e.room(4, wide)
+        out = e.allocate(4, wide)
         shared = [
             w.number(I64, "philox", w.species, site, block, word, one=True) for word in ("first", "low", "last", "k0", "k1")
         ]
@@ -59,7 +59,7 @@ def _words(w: Any, site: str, block: int) -> list[Lanes]:
         e.do("call", ids, *shared, out, x=f"@{_philox(w)}")
         return [e.load(e.address(out, k, wide), I64, WIDTH) for k in range(4)]
 
-    words: list[Lanes] = w.e.once(("words", site, block), make)
+    words: list[Lanes] = w.e.get_or_make(("words", site, block), make)
     return words
 
 
