@@ -69,7 +69,7 @@ def _measure(job: Job) -> Measured:
     if job.bound:
         runners[BOUND] = hand_written(agents)
     costs = _turns(runners, worlds, steps, job.turns)
-    messages = [f"{name}: {sentence}" for name, each in worlds.items() for sentence in each.backend.told()]
+    messages = [f"{name}: {sentence}" for name, each in worlds.items() for sentence in each.backend.messages()]
     load_seconds, load_messages = _time_code_load(world)
     return Measured(
         job=job,

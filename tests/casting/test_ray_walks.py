@@ -30,7 +30,7 @@ def rough(slope: float, cells: int = 16) -> Mesh:
 def folded() -> Mesh:
     """A strip that is folded back over itself."""
     points = np.array([[0, 0, 0], [4, 0, 0], [8, 0.5, 0], [9, 1, 0], [8, 1.5, 0], [4, 1, 0], [0, 1, 0], [-3, 0.2, 0]], float)
-    return open_shapes.strip(points, np.array([0.0, 0, 6]))
+    return open_shapes.triangle_strip(points, np.array([0.0, 0, 6]))
 
 
 def sheets(gap: float, same_side: bool) -> Mesh:

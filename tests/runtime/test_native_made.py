@@ -82,7 +82,7 @@ def test_code_of_another_run_is_used(afresh: Callable[[], list[str]]) -> None:
     assert len(compiled) > 1
     compiled = afresh()
     world = edited()
-    assert state_hash(world) == expected and compiled == [] and world.backend.told() == []
+    assert state_hash(world) == expected and compiled == [] and world.backend.messages() == []
 
 
 def test_code_that_may_be_harmful_is_not_loaded_and_the_run_goes_on(afresh: Callable[[], list[str]], tmp_path: Path) -> None:
@@ -93,7 +93,7 @@ def test_code_that_may_be_harmful_is_not_loaded_and_the_run_goes_on(afresh: Call
     compiled = afresh()
     world = edited()
     assert state_hash(world) == expected and len(compiled) > 1
-    assert world.backend.told() and all("damaged, or was not written" in each for each in world.backend.told())
+    assert world.backend.messages() and all("damaged, or was not written" in each for each in world.backend.told())
     compiled = afresh()
     assert state_hash(edited()) == expected and compiled == [], "it was replaced"
 
